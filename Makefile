@@ -1,0 +1,69 @@
+# The only place for the commands of development. `make help` lists them. Nothing here needs root.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+# What the installed package is made of. Folders are in the list so that a deleted file counts too.
+SOURCES := pyproject.toml README.md LICENSE NOTICE $(shell find spec model generators conformance \
+  -name __pycache__ -prune -o \
+  \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name py.typed \) -print)
+
+.PHONY: help demo test lint format bench clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*  ## /\1\t/p' Makefile | expand -t 10
+
+demo: $(VENV)/installed  ## judge a virtual drive (conforms) and a foreign SDO server (does not)
+	@echo '== 1 of 2: the virtual SubDevice against the text of the Kollmorgen AKD.'
+	@echo '==         It is made from that text, so it must conform: exit status 0.'
+	$(BIN)/ecatspec run kollmorgen-akd
+	@echo
+	@echo '== 2 of 2: the SDO server of the Python package canopen against the same text.'
+	@echo '==         It was written for CAN, not for this drive: findings and exit status 1 are expected.'
+	@echo '$(BIN)/ecatspec run kollmorgen-akd --dut canopen'; \
+	status=0; $(BIN)/ecatspec run kollmorgen-akd --dut canopen || status=$$?; \
+	if [ $$status -eq 1 ]; then echo '== demo done: statuses 0 and 1, as expected.'; \
+	else echo "== demo failed: the second run ended with status $$status, expected was 1." >&2; exit 1; fi
+
+test: lint  ## everything: lint, types, and the tests against the installed wheel
+	$(BIN)/python -m pytest -n auto
+
+lint: $(VENV)/developed  ## formatting, rules and types
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/mypy tests
+
+format: $(VENV)/developed  ## format the code and repair what can be repaired
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/installed  ## measure
+	$(BIN)/python bench/run.py
+
+clean:  ## remove everything made here
+	rm -rf $(VENV) build dist ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo 'ecatspec needs Python 3.11 or newer; say which one: make PYTHON=python3.12 ...' >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+# pip builds a wheel of the folder and installs that wheel. The leftovers of an earlier build go
+# first: setuptools would pack files again that the tree has no more.
+$(VENV)/installed: $(VENV)/created $(SOURCES)
+	@rm -rf build ecatspec.egg-info
+	$(PIP) install '.[canopen]'
+	@rm -rf build ecatspec.egg-info
+	@touch $@
+
+# `--group` needs pip 25.1, which many Pythons do not bring.
+$(VENV)/developed: $(VENV)/installed pyproject.toml
+	$(PIP) install --upgrade 'pip>=25.1'
+	$(PIP) install --group dev
+	@touch $@

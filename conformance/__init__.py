@@ -1,0 +1,1 @@
+"""The only place for testing devices: adapters, runner, verdicts, reports, command line."""

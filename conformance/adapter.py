@@ -1,0 +1,146 @@
+"""The only place for the adapter contract: what a device under test must offer, and its faults.
+
+An adapter knows bytes and time and judges nothing.  Two families of error keep apart whose
+fault it was: `AdapterError` is the user's set-up or a call outside the contract (exit status
+2); a `DeviceFault` is what the device did (a verdict, and the run goes on after `reset`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+ADDRESS_SPACE: Final = 1 << 16
+"""The contract's own bound: an address is an unsigned number of sixteen bits."""
+
+
+class AdapterError(Exception):
+    """The set-up or the call is wrong; the message is one line and says what to do."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(" ".join(message.split()))
+
+
+class DeviceFault(Exception):  # noqa: N818  a fault of the device is an observation
+    """What the device did instead of answering; catch this to catch all three kinds."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason: Final = reason
+
+
+class DeviceCrash(DeviceFault):
+    """The device ended; `stderr_tail` is the end of what it said on its error stream."""
+
+    def __init__(self, reason: str, stderr_tail: str = "") -> None:
+        super().__init__(reason)
+        self.stderr_tail: Final = stderr_tail
+
+
+class DeviceHang(DeviceFault):
+    """The device gave no answer in time and was stopped."""
+
+
+class DeviceRubbish(DeviceFault):
+    """The device gave an answer that is not of the contract and was stopped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What is known of a device before the first exchange."""
+
+    name: str
+    protocols: frozenset[str]
+    """The layers that are the device's own; cases of other layers are skipped."""
+    virtual_time: bool
+    """True: `advance` costs no real time."""
+    closed_dictionary: bool
+    """True: exactly the declared objects exist."""
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, object]:
+        """Return the description as data for JSON, in a fixed order."""
+        return {
+            "name": self.name,
+            "protocols": sorted(self.protocols),
+            "virtual_time": self.virtual_time,
+            "closed_dictionary": self.closed_dictionary,
+            "notes": list(self.notes),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, object]) -> Self:
+        """Return the description that `to_json` wrote; ValueError names a wrong field."""
+        unknown = sorted(set(data) - set(cls.__slots__))
+        if unknown:
+            message = f"unknown field {unknown[0]!r} in a description"
+            raise ValueError(message)
+        name = data.get("name")
+        if not isinstance(name, str):
+            message = "field 'name' of a description is not a text"
+            raise ValueError(message)  # noqa: TRY004  the value is wrong, not the call
+        return cls(
+            name=name,
+            protocols=frozenset(_texts(data, "protocols")),
+            virtual_time=_truth(data, "virtual_time"),
+            closed_dictionary=_truth(data, "closed_dictionary"),
+            notes=_texts(data, "notes"),
+        )
+
+
+class Adapter(Protocol):
+    """A device under test, as a MainDevice sees it."""
+
+    def reset(self) -> None:
+        """Power cycle: all volatile state is gone; a dead device lives again."""
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return the working counter and, when it is not zero, exactly `length` bytes."""
+
+    def write(self, address: int, data: bytes) -> int:
+        """Return the working counter of a write of `data`."""
+
+    def advance(self, seconds: float) -> None:
+        """Let the device run for that much of its own time."""
+
+    def close(self) -> None:
+        """Release everything; a second call does nothing."""
+
+    def describe(self) -> Description:
+        """Return what is known of the device; the same at every call."""
+
+
+def check_span(address: int, length: int) -> None:
+    """Refuse an access that no datagram can carry, so that no device ever sees it."""
+    if address < 0 or length < 1 or address + length > ADDRESS_SPACE:
+        message = (
+            f"address {address} with length {length} is outside the address space; "
+            f"address 0 to {ADDRESS_SPACE - 1}, length at least 1"
+        )
+        raise AdapterError(message)
+
+
+def check_duration(seconds: float) -> None:
+    """Refuse a time that does not pass forward."""
+    if not 0 <= seconds < float("inf"):
+        message = f"cannot advance by {seconds} s; give a number of seconds from 0"
+        raise AdapterError(message)
+
+
+def _texts(data: Mapping[str, object], field: str) -> tuple[str, ...]:
+    value = data.get(field, [])
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        message = f"field {field!r} of a description is not a list of texts"
+        raise ValueError(message)
+    return tuple(value)
+
+
+def _truth(data: Mapping[str, object], field: str) -> bool:
+    value = data.get(field)
+    if not isinstance(value, bool):
+        message = f"field {field!r} of a description is not true or false"
+        raise ValueError(message)  # noqa: TRY004  the value is wrong, not the call
+    return value

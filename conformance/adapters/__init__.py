@@ -1,0 +1,131 @@
+"""The only place for the table of adapters: the ways to reach a device, and how they are named.
+
+    model                    the virtual SubDevice of the texts
+    canopen                  the SDO server of the package canopen behind the virtual mailbox
+    exec:COMMAND ARGUMENTS   any program that speaks the line protocol of `process`
+
+A Python adapter is a file here with `make(device, options) -> Adapter`, a row in FACTORIES and
+a row in ADAPTERS; it runs in a process of its own.  Options follow a colon: `model:key=value`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.util
+import json
+import shlex
+import sys
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, cast
+
+from ecatspec.conformance.adapter import AdapterError, DeviceFault
+from ecatspec.conformance.process import ProcessAdapter
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from ecatspec.conformance.adapter import Adapter
+
+    Factory = Callable[[str, Mapping[str, str]], Adapter]
+    Opener = Callable[[str, str], Adapter]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One way to reach devices: `open` takes what follows the colon, and the device's text."""
+
+    summary: str
+    example: str
+    open: Opener
+
+
+def open_adapter(spec: str, device: str) -> Adapter:
+    """Open the adapter that `spec` names for the device text `device`, and hear it answer."""
+    name, _, rest = spec.partition(":")
+    entry = ADAPTERS.get(name)
+    if entry is None:
+        near = difflib.get_close_matches(name, ADAPTERS, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        message = f"unknown adapter {name!r}; {hint}there are {', '.join(sorted(ADAPTERS))}"
+        raise AdapterError(message)
+    adapter = entry.open(rest, device)
+    try:
+        adapter.describe()
+    except DeviceFault as fault:
+        adapter.close()
+        message = f"the adapter {spec!r} does not come up: {fault.reason}"
+        raise AdapterError(message) from None
+    except BaseException:
+        adapter.close()
+        raise
+    return adapter
+
+
+def parse_options(text: str) -> dict[str, str]:
+    """Read `key=value,key=value`; empty text has no options."""
+    options: dict[str, str] = {}
+    for part in filter(None, text.split(",")):
+        key, equals, value = part.partition("=")
+        if not key or not equals or key in options:
+            message = f"cannot read the option {part!r}; write key=value,key=value, each key once"
+            raise AdapterError(message)
+        options[key] = value
+    return options
+
+
+def refuse_options(name: str, options: Mapping[str, str]) -> None:
+    """Refuse options where an adapter has none."""
+    if options:
+        message = f"the adapter {name!r} has no option {next(iter(options))!r}; it takes none"
+        raise AdapterError(message)
+
+
+def _make(module: str, device: str, options: Mapping[str, str]) -> Adapter:
+    factory = cast("Factory", importlib.import_module(f"{__name__}.{module}").make)
+    return factory(device, options)
+
+
+def _open_hosted(name: str, rest: str, device: str, *, package: str | None = None) -> Adapter:
+    options = parse_options(rest)
+    if package is not None and importlib.util.find_spec(package) is None:
+        message = f'the adapter {name!r} needs a package: pip install "ecatspec[{package}]"'
+        raise AdapterError(message)
+    arguments = json.dumps({"device": device, "options": options})
+    return ProcessAdapter([sys.executable, "-m", "ecatspec.conformance.host", name, arguments])
+
+
+def _open_command(rest: str, _device: str) -> Adapter:
+    try:
+        command = shlex.split(rest)
+    except ValueError as error:
+        message = f"cannot read the command {rest!r}: {error}"
+        raise AdapterError(message) from None
+    return ProcessAdapter(command)
+
+
+FACTORIES: Final[Mapping[str, Factory]] = MappingProxyType(
+    {name: partial(_make, name) for name in ("model", "canopen")}
+)
+
+ADAPTERS: Final[Mapping[str, Entry]] = MappingProxyType(
+    {
+        "model": Entry(
+            summary="the virtual SubDevice of the texts",
+            example="model",
+            open=partial(_open_hosted, "model"),
+        ),
+        "canopen": Entry(
+            summary="the SDO server of the package canopen behind the virtual mailbox",
+            example="canopen",
+            open=partial(_open_hosted, "canopen", package="canopen"),
+        ),
+        "exec": Entry(
+            summary="a program that speaks the line protocol",
+            example="exec:./my_stack --port 0",
+            open=_open_command,
+        ),
+    }
+)

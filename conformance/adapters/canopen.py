@@ -1,0 +1,215 @@
+"""The only place for the SDO server of the package canopen as a device under test.
+
+Level B: the virtual SubDevice carries the mailbox, the package answers the SDO requests.  What
+is decided here, and why, so that a finding is the package's own:
+
+- The request goes to `Network.notify`, the package's documented entry for a received frame, and
+  the answers are what the package gives to `Network.send_message`, the method it documents to be
+  overridden.  No method of the server is called or replaced.
+- A CAN frame has eight bytes, so the package gets the first eight of a request.
+- A node number is needed; it appears only in frame identifiers, which the mailbox does not have.
+- No exception is caught: it ends the process and is a crash.  On a real bus, the package's own
+  listener logs such an exception and sends nothing, so the MainDevice would see silence.
+- An index that has subindex 0 alone is an ODVariable, every other an ODRecord.  Never an ODArray:
+  that class answers for subindexes that nobody declared, and the texts do not say "array".
+- An integer has the package's type of its width, rounded up to whole bytes as on the wire, and a
+  text its type for texts, which has no fixed length.
+- Every entry has a value, its declared default or zero, as the bytes that the texts say: without
+  a value the package refuses the upload.
+- Access goes over unchanged.  Declared limits of value (min, max) do too, although the package
+  never looks at them in a download.
+- The heartbeat that the package starts on a write to its heartbeat object has no bus to run on:
+  it does nothing.
+- A reset makes a new node: the package keeps what was written in the node.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, Final, assert_never
+
+import canopen
+from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
+
+from ecatspec.conformance.adapter import AdapterError, Description, check_duration, check_span
+from ecatspec.conformance.adapters import refuse_options
+from ecatspec.model.dictionary import encode_value
+from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.ir import (
+    Access,
+    Area,
+    Bool,
+    Bytes,
+    Named,
+    SInt,
+    Text,
+    Time,
+    UInt,
+)
+from ecatspec.spec.language.load import load_device
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.spec.language.ir import ObjectEntry, Protocol
+
+_NODE: Final = 1
+_FRAME: Final = 8
+_NOTES: Final = (
+    "frames of eight bytes: no normal transfer and no segment of more than seven bytes",
+    "no complete access: the package does not know the bit",
+    "an exception counts as a crash; on a bus the package's listener logs it and stays silent",
+    "the access states of the objects are not the package's and are not checked",
+)
+
+
+def make(device: str, options: Mapping[str, str]) -> Adapter:
+    """Return the package's SDO server with the objects of the text `device`."""
+    refuse_options("canopen", options)
+    return _Canopen(load_device(device))
+
+
+class SdoServer:
+    """The package's local node on a bus that ends here: request in, answers out."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._network = _Network()
+        node: Any = canopen.LocalNode(_NODE, object_dictionary(protocol))
+        node.associate_network(self._network)
+        self._identifier: int = node.sdo.rx_cobid
+
+    def __call__(self, request: bytes) -> list[bytes]:
+        """Return the frames that the package sends because of `request`."""
+        self._network.sent = []
+        self._network.notify(self._identifier, bytearray(request[:_FRAME]), 0.0)
+        return self._network.sent
+
+
+class _Network(canopen.Network):
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent: list[bytes] = []
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:  # noqa: ARG002, FBT001, FBT002  the package's own signature
+        self.sent.append(bytes(data))
+
+    def send_periodic(self, *_: object, **__: object) -> Any:  # noqa: ANN401
+        return _Heartbeat()
+
+
+class _Heartbeat:
+    def stop(self) -> None:
+        pass
+
+    def update(self, data: object) -> None:
+        pass
+
+
+class _Canopen:
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
+        self._server = SdoServer(protocol)
+        # The server is looked up at each request: a reset puts a new one in its place.
+        self._device = VirtualSubDevice(protocol, sdo_server=lambda r: self._server(r))
+        self._description = Description(
+            name=f"canopen {importlib.metadata.version('canopen')} SdoServer, {protocol.name}",
+            protocols=frozenset({"sdo"}),
+            virtual_time=True,
+            closed_dictionary=True,
+            notes=_NOTES,
+        )
+
+    def reset(self) -> None:
+        self._server = SdoServer(self._protocol)
+        self._device.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        check_span(address, length)
+        return self._device.read(address, length)
+
+    def write(self, address: int, data: bytes) -> int:
+        check_span(address, len(data))
+        return self._device.write(address, data)
+
+    def advance(self, seconds: float) -> None:
+        check_duration(seconds)
+        self._device.advance(seconds)
+
+    def close(self) -> None:
+        pass
+
+    def describe(self) -> Description:
+        return self._description
+
+
+def object_dictionary(protocol: Protocol) -> ObjectDictionary:
+    """Return the declared objects as the package's object dictionary."""
+    dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
+    entries = sorted(protocol.objects, key=lambda entry: (entry.index, entry.subindex))
+    for index, group in groupby(entries, key=lambda entry: entry.index):
+        members = [_variable(entry) for entry in group]
+        if [member.subindex for member in members] == [0]:
+            dictionary.add_object(members[0])
+            continue
+        record = ODRecord(f"{index:#06x}", index)
+        for member in members:
+            record.add_member(member)
+        dictionary.add_object(record)
+    return dictionary
+
+
+def _variable(entry: ObjectEntry) -> ODVariable:
+    # The place is part of the name: the package also looks objects up by name, once per name.
+    name = f"{entry.name} {entry.index:#06x}:{entry.subindex:02x}"
+    variable: Any = ODVariable(name, entry.index, entry.subindex)
+    variable.data_type = _type(entry)
+    variable.value = encode_value(entry, 0 if entry.default is None else entry.default)
+    variable.min, variable.max = entry.low, entry.high
+    variable.access_type = "const" if entry.constant else _ACCESS[entry.access]
+    made: ODVariable = variable
+    return made
+
+
+_ACCESS: Final[Mapping[Access, str]] = {
+    Access.NONE: "",
+    Access.READ: "ro",
+    Access.WRITE: "wo",
+    Access.BOTH: "rw",
+}
+_UNSIGNED: Final[Mapping[int, int]] = {
+    ODVariable.STRUCT_TYPES[number].size: number for number in datatypes.UNSIGNED_TYPES
+}
+_SIGNED: Final[Mapping[int, int]] = {
+    ODVariable.STRUCT_TYPES[number].size: number for number in datatypes.SIGNED_TYPES
+}
+
+
+def _type(entry: ObjectEntry) -> int:
+    kind = entry.type
+    match kind:
+        case UInt(width):
+            return _integer(entry, _UNSIGNED, width)
+        case SInt(width):
+            return _integer(entry, _SIGNED, width)
+        case Bool():
+            return datatypes.BOOLEAN
+        case Text():
+            return datatypes.VISIBLE_STRING
+        case Named() | Bytes() | Area() | Time():
+            message = f"object {entry.index:#06x}:{entry.subindex:02x} has no type of an object"
+            raise AdapterError(message)
+        case _:
+            assert_never(kind)
+
+
+def _integer(entry: ObjectEntry, types: Mapping[int, int], width: int) -> int:
+    size = -(-width // 8)
+    if size not in types:
+        message = (
+            f"object {entry.index:#06x}:{entry.subindex:02x} has {width} bits; "
+            f"canopen has integers of at most {8 * max(types)}"
+        )
+        raise AdapterError(message)
+    return types[size]

@@ -1,0 +1,129 @@
+"""The only place for the device side of the line protocol: it hosts one Python adapter.
+
+    python -m ecatspec.conformance.host NAME '{"device": "akd", "options": {}}'
+
+Descriptor 1 is the protocol's alone: whatever the device prints goes to the error stream.  An
+exception of the device is not caught to go on: it is the device's crash, with the traceback on
+the error stream and exit status 70.  Only `AdapterError` is answered, for it is not the device's.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import traceback
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance.adapters import FACTORIES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from ecatspec.conformance.adapter import Adapter
+
+CRASHED: Final = 70
+USAGE: Final = 2
+_CHUNK: Final = 1 << 16
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Serve the adapter named on the command line until the requests end."""
+    match sys.argv[1:] if arguments is None else arguments:
+        case [name]:
+            text = "{}"
+        case [name, text]:
+            pass
+        case _:
+            print("usage: python -m ecatspec.conformance.host NAME [JSON]", file=sys.stderr)
+            return USAGE
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    requests, replies = _private_descriptors()
+    try:
+        serve = _server(name, text)
+    except AdapterError as error:
+        serve = _refusal(str(error))
+    except Exception as error:  # noqa: BLE001  nothing of the device has run yet: set-up trouble
+        traceback.print_exc()
+        serve = _refusal(f"cannot set up {name!r}: {type(error).__name__}: {error}")
+    try:
+        for line in _lines(requests):
+            _send(replies, serve(json.loads(line)))
+    except BaseException:  # noqa: BLE001  the device's exception: say it and die of it
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(CRASHED)  # a thread of the device must not keep the process alive
+    sys.stderr.flush()
+    os._exit(0)
+
+
+def _private_descriptors() -> tuple[int, int]:
+    """Keep the two pipes for the protocol; 0 becomes empty and 1 becomes the error stream."""
+    requests, replies = os.dup(0), os.dup(1)
+    empty = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(empty, 0)
+    os.close(empty)
+    os.dup2(2, 1)
+    return requests, replies
+
+
+def _server(name: str, text: str) -> Callable[[dict[str, object]], str]:
+    arguments = json.loads(text)
+    make = FACTORIES.get(name)
+    if make is None:
+        message = f"no hosted adapter {name!r}; there are {', '.join(sorted(FACTORIES))}"
+        raise AdapterError(message)
+    adapter = make(arguments.get("device", ""), arguments.get("options", {}))
+
+    def serve(request: dict[str, object]) -> str:
+        try:
+            return _perform(adapter, request)
+        except AdapterError as error:
+            return json.dumps({"ok": False, "error": str(error)})
+
+    return serve
+
+
+def _refusal(reason: str) -> Callable[[dict[str, object]], str]:
+    reply = json.dumps({"ok": False, "error": reason})
+    return lambda _: reply
+
+
+def _perform(adapter: Adapter, request: dict[str, object]) -> str:
+    match request:
+        case {"op": "read", "address": int(address), "length": int(length)}:
+            working_counter, data = adapter.read(address, length)
+            return f'{{"ok":true,"wkc":{working_counter:d},"data":"{data.hex()}"}}'
+        case {"op": "write", "address": int(address), "data": str(text)}:
+            return f'{{"ok":true,"wkc":{adapter.write(address, bytes.fromhex(text)):d}}}'
+        case {"op": "advance", "seconds": float(seconds) | int(seconds)}:
+            adapter.advance(seconds)
+        case {"op": "reset"}:
+            adapter.reset()
+        case {"op": "close"}:
+            adapter.close()
+        case {"op": "describe"}:
+            return json.dumps({"ok": True, "description": adapter.describe().to_json()})
+        case _:
+            message = f"no such request: {request!r}"
+            raise AdapterError(message)
+    return '{"ok":true}'
+
+
+def _lines(descriptor: int) -> Iterator[bytes]:
+    rest = b""
+    while chunk := os.read(descriptor, _CHUNK):
+        *lines, rest = (rest + chunk).split(b"\n")
+        yield from lines
+
+
+def _send(descriptor: int, reply: str) -> None:
+    data = reply.encode("utf-8") + b"\n"
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

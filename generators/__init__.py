@@ -1,0 +1,1 @@
+"""The only place for making tests out of the model."""

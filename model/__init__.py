@@ -1,0 +1,1 @@
+"""The only place for what the texts mean: values, steps and the virtual SubDevice."""

@@ -1,0 +1,235 @@
+"""The only place where frames of the texts become bytes and bytes become messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
+from ecatspec.model.values import Pattern, Value
+from ecatspec.spec.language.ir import Bytes, Frame, FrameField, Name, SInt
+from ecatspec.spec.language.scope import (
+    ConstantRef,
+    ParameterOfInput,
+    Scope,
+    frame_fields,
+    resolve,
+    width_of,
+)
+
+if TYPE_CHECKING:
+    from ecatspec.spec.language.ir import Expression, Protocol, Type
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A decoded frame: the innermost layout that fits, and the fields of it and all around it.
+
+    `trail` holds the layouts from the outermost to `frame`.
+    """
+
+    frame: str
+    trail: tuple[str, ...]
+    fields: Mapping[str, Value]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    name: str
+    width: int | None
+    signed: bool
+    length: Getter | None
+    constant: Value | None
+    counts: str | None
+
+
+class Codec:
+    """Encoder and decoder of all frames of one protocol."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        """Prepare the layouts; expressions in frames see earlier fields and table rows."""
+        self._protocol = protocol
+        self._parts = {name: self._layout(frame) for name, frame in protocol.frames.items()}
+        self._conditions = {
+            name: self._conditions_of(frame) for name, frame in protocol.frames.items()
+        }
+        self._children: dict[str | None, list[str]] = {}
+        for name, frame in protocol.frames.items():
+            self._children.setdefault(frame.parent, []).append(name)
+        for children in self._children.values():
+            children.sort(key=self._weight, reverse=True)
+
+    def trail(self, frame: str) -> tuple[str, ...]:
+        """Give the layouts around `frame` from the outermost to itself."""
+        parent = self._protocol.frames[frame].parent
+        return (*self.trail(parent), frame) if parent else (frame,)
+
+    def field_names(self, frame: str) -> tuple[str, ...]:
+        """Give the fields of the frame and of all around it, outermost first, without bodies."""
+        trail = self.trail(frame)
+        names: list[str] = []
+        for name in trail:
+            parts = self._parts[name]
+            names += [part.name for part in (parts if name == frame else parts[:-1])]
+        return tuple(names)
+
+    def is_derived(self, frame: str, field: str) -> bool:
+        """Tell whether the encoder computes the field: a length of what follows."""
+        return any(
+            part.counts == field for name in self.trail(frame) for part in self._parts[name]
+        )
+
+    def fixed(self, frame: str) -> dict[str, Value]:
+        """Give the fields that have constants: own ones and those that place the frame."""
+        constants: dict[str, Value] = {}
+        for name in self.trail(frame):
+            constants |= self._conditions[name]
+            constants |= {p.name: p.constant for p in self._parts[name] if p.constant is not None}
+        return constants
+
+    # --- bytes to message ---------------------------------------------------------------------------
+
+    def decode(self, data: bytes, root: str) -> Message | None:
+        """Decode `data`, which starts with the layout `root`; None when not even that fits.
+
+        Bytes after the outermost layout's counted body are never looked at.
+        """
+        fields = self._read(root, data, {}, exact=False)
+        if fields is None:
+            return None
+        trail = [root]
+        while True:
+            inner = self._inner(trail[-1], fields)
+            if inner is None:
+                return Message(trail[-1], tuple(trail), fields)
+            trail.append(inner[0])
+            fields = inner[1]
+
+    def _inner(self, frame: str, fields: dict[str, Value]) -> tuple[str, dict[str, Value]] | None:
+        body = fields.get(self._parts[frame][-1].name) if self._parts[frame] else None
+        if not isinstance(body, bytes):
+            return None
+        for child in self._children.get(frame, ()):
+            if all(fields.get(name) == value for name, value in self._conditions[child].items()):
+                inner = self._read(child, body, fields, exact=True)
+                if inner is not None:
+                    return child, inner
+        return None
+
+    def _read(
+        self, frame: str, data: bytes, outer: Mapping[str, Value], *, exact: bool
+    ) -> dict[str, Value] | None:
+        fields = dict(outer)
+        bits = int.from_bytes(data, "little")
+        total = len(data) * 8
+        offset = 0
+        for part in self._parts[frame]:
+            if part.width is None:
+                length = total // 8 - offset // 8
+                if part.length is not None:
+                    wanted = part.length(Environment((), {}, fields))
+                    if not isinstance(wanted, int) or wanted < 0 or wanted > length:
+                        return None
+                    length = wanted
+                start = offset // 8
+                fields[part.name] = data[start : start + length]
+                offset += length * 8
+                continue
+            if offset + part.width > total:
+                return None
+            value: Value = bits >> offset & ((1 << part.width) - 1)
+            if part.signed and isinstance(value, int) and value >> (part.width - 1):
+                value -= 1 << part.width
+            if part.constant is not None and value != part.constant:
+                return None
+            fields[part.name] = value
+            offset += part.width
+        return fields if not exact or offset == total else None
+
+    # --- message to bytes ---------------------------------------------------------------------------
+
+    def encode(self, frame: str, fields: Mapping[str, Value]) -> bytes:
+        """Encode; a field not given is its constant, a count of what follows, or 0."""
+        values: dict[str, Value] = {**self.fixed(frame), **fields}
+        body: bytes | None = None
+        for name in reversed(self.trail(frame)):
+            body = self._write(name, values, body)
+        return body or b""
+
+    def _write(self, frame: str, values: dict[str, Value], body: bytes | None) -> bytes:
+        parts = self._parts[frame]
+        if body is not None:
+            values = {**values, parts[-1].name: body}
+        for part in parts:
+            content = values.get(part.name, b"")
+            if part.counts is not None and part.counts not in values and isinstance(content, bytes):
+                values = {**values, part.counts: len(content)}
+        bits = 0
+        offset = 0
+        for part in parts:
+            value = values.get(part.name, 0)
+            if part.width is None:
+                content = value if isinstance(value, bytes) else b""
+                wanted = 0 if part.length is None else part.length(Environment((), {}, values))
+                content = content.ljust(wanted if isinstance(wanted, int) else 0, b"\0")
+                bits |= int.from_bytes(content, "little") << offset
+                offset += len(content) * 8
+            else:
+                number = value if isinstance(value, int) else 0
+                bits |= (number & ((1 << part.width) - 1)) << offset
+                offset += part.width
+        return bits.to_bytes((offset + 7) // 8, "little")
+
+    # --- preparation --------------------------------------------------------------------------------
+
+    def _layout(self, frame: Frame) -> tuple[_Part, ...]:
+        return tuple(self._part(frame, field) for field in frame.fields)
+
+    def _part(self, frame: Frame, field: FrameField) -> _Part:
+        constant = None if field.value is None else self._constant(frame, field.value, field.type)
+        if isinstance(field.type, Bytes):
+            expression = field.type.length
+            if expression is None:
+                return _Part(field.name, None, False, None, constant, None)
+            own = {item.name for item in frame.fields}
+            counts = (
+                expression.path if isinstance(expression, Name) and expression.path in own else None
+            )
+            getter = compile_expression(expression, self._lookup(frame), {})
+            return _Part(field.name, None, False, getter, constant, counts)
+        width = width_of(self._protocol, field.type)
+        return _Part(field.name, width, isinstance(field.type, SInt), None, constant, None)
+
+    def _lookup(self, frame: Frame, expected: Type | None = None) -> Lookup:
+        def lookup(name: Name) -> Getter:
+            ref = resolve(self._protocol, name.path, Scope(frame=frame.name), expected)
+            match ref:
+                case ConstantRef(value=constant):
+                    return lambda _: constant
+                case ParameterOfInput(name=key):
+                    return lambda environment: environment.parameters[key]
+                case _:
+                    raise TypeError(f"{name.at}: a layout cannot use `{name.path}`")
+
+        return lookup
+
+    def _constant(self, frame: Frame, expression: Expression, expected: Type) -> Value:
+        value = compile_expression(expression, self._lookup(frame, expected), {})
+        return value(Environment((), {}, {}))
+
+    def _conditions_of(self, frame: Frame) -> dict[str, Value]:
+        types = frame_fields(self._protocol, frame.parent) if frame.parent else {}
+        return {
+            field: self._constant(frame, value, types[field]) for field, value in frame.conditions
+        }
+
+    def _weight(self, frame: str) -> tuple[int, int]:
+        parts = self._parts[frame]
+        constants = sum(part.constant is not None for part in parts) + len(self._conditions[frame])
+        return constants, -len(parts)
+
+
+def concrete(value: Value, after: int = 0) -> Value:
+    """Give a value that a device may send where `value` is what is acceptable."""
+    return value.first(after) if isinstance(value, Pattern) else value

@@ -1,0 +1,382 @@
+"""The only place where a protocol becomes something that runs: slots, rules and views as functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, assert_never
+
+from ecatspec.model.codec import Codec
+from ecatspec.model.dictionary import ObjectDictionary
+from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
+from ecatspec.model.state import RuleName, State
+from ecatspec.model.values import UNKNOWN, Value
+from ecatspec.spec.language.ir import (
+    Access,
+    AnyValue,
+    Binary,
+    Call,
+    Conditional,
+    Expression,
+    Gap,
+    In,
+    Literal,
+    Name,
+    OneOf,
+    Range,
+    Rule,
+    Type,
+    Unary,
+)
+from ecatspec.spec.language.scope import (
+    AlternativeRef,
+    ChoiceRef,
+    ConditionRef,
+    ConstantRef,
+    DefinitionRef,
+    Kind,
+    ParameterOfInput,
+    ParameterRef,
+    Ref,
+    RegisterFieldRef,
+    Scope,
+    StateRef,
+    VariableRef,
+    expectation,
+    resolve,
+)
+
+if TYPE_CHECKING:
+    from ecatspec.spec.language.ir import Protocol, Register
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledRule:
+    """A rule or a gap, ready to run in the order of its paragraphs."""
+
+    name: RuleName
+    sources: frozenset[int]
+    guard: Getter | None
+    target: int | None
+    updates: tuple[tuple[int, Getter], ...]
+    store: tuple[tuple[Getter, Getter, Getter], ...]
+    sends: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
+    gives: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
+    within: Getter | None
+    gap: bool
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One field of a register as the MainDevice reads it."""
+
+    name: str
+    low: int
+    width: int
+    expression: Expression
+    value: Getter
+    condition: Getter | None
+
+
+class Model:
+    """One protocol, compiled. `assuming` makes conditions as assumed and choices first or pinned."""
+
+    def __init__(self, protocol: Protocol, *, assuming: bool = False) -> None:
+        """Compile every rule, view and layout of the protocol."""
+        self.protocol = protocol
+        self.assuming = assuming
+        self.codec = Codec(protocol)
+        self.dictionary = ObjectDictionary(protocol, self._al_state)
+        self.slots: dict[str, int] = {}
+        self._definitions: dict[str, Getter] = {}
+        initial: list[Value | None] = []
+        for name, value in self._initial():
+            self.slots[name] = len(initial)
+            initial.append(value)
+        self.initial = State(tuple(initial))
+        self.rules: dict[tuple[str, str], tuple[CompiledRule, ...]] = {}
+        for machine in protocol.machines.values():
+            for source in machine.inputs:
+                rules = [
+                    self._rule(machine.name, rule)
+                    for rule in (*machine.rules, *machine.gaps)
+                    if rule.input == source.name
+                ]
+                self.rules[machine.name, source.name] = tuple(rules)
+        self.views = {r.name: self._views(r) for r in protocol.registers.values()}
+        self.replies = {name: self._reply_fields(name) for name in protocol.frames}
+
+    # --- names of slots -----------------------------------------------------------------------------
+
+    def _initial(self) -> list[tuple[str, Value | None]]:
+        protocol = self.protocol
+        found: list[tuple[str, Value | None]] = []
+        for machine in protocol.machines.values():
+            table = protocol.tables[machine.table]
+            values = {row.name: row.value for row in table.rows}
+            found.append((f"{machine.name}.state", values[machine.initial]))
+            for variable in machine.variables:
+                lookup = self._lookup(Scope(machine.name), variable.type)
+                value = compile_expression(variable.initial, lookup, {})
+                found.append((f"{machine.name}.{variable.name}", value(Environment((), {}, {}))))
+        for choice in protocol.choices.values():
+            pin = protocol.pins.get(choice.name)
+            decided = pin.alternative if pin else None
+            if decided is None and self.assuming:
+                decided = choice.alternatives[0].name
+            found.append((f"choice {choice.name}", decided))
+        for register in protocol.registers.values():
+            if register.main is Access.BOTH:
+                found.append((f"register {register.name}", register.reset))
+        return found
+
+    def slot(self, ref: Ref) -> int:
+        """Give the slot that a variable, a state, a choice or a register lies in."""
+        match ref:
+            case VariableRef(machine=machine, name=name):
+                return self.slots[f"{machine}.{name}"]
+            case StateRef(machine=machine):
+                return self.slots[f"{machine}.state"]
+            case ChoiceRef(name=name):
+                return self.slots[f"choice {name}"]
+            case RegisterFieldRef(register=register):
+                return self.slots[f"register {register}"]
+            case _:
+                raise TypeError(f"{ref} has no slot")
+
+    def target_of(self, path: str) -> int:
+        """Give the slot of `machine.variable`."""
+        return self.slots[path]
+
+    def state_names(self, machine: str) -> dict[int, str]:
+        """Give the states of a machine by value."""
+        wanted = set(self.protocol.machines[machine].states)
+        table = self.protocol.tables[self.protocol.machines[machine].table]
+        return {row.value: row.name for row in table.rows if row.name in wanted}
+
+    def definition(self, name: str) -> Getter:
+        """Give a definition of the texts as a function, in no rule's scope."""
+        if name not in self._definitions:
+            value = self.protocol.definitions[name].value
+            self._definitions[name] = self.expression(value, Scope(), None)
+        return self._definitions[name]
+
+    def parameter(self, name: str, part: str | None = None) -> int:
+        """Give the value of a parameter (of an area: `start` or `length`; of a time: us)."""
+        parameter = self.protocol.parameters[name]
+        expression = parameter.value[1 if part == "length" else 0]
+        value = compile_expression(expression, self._lookup(Scope()), {})(Environment((), {}, {}))
+        if not isinstance(value, int):
+            raise TypeError(f"{parameter.at}: `{name}` is no number")
+        return value
+
+    @cached_property
+    def _al_state_slot(self) -> int:
+        return self.slots["al.state"]
+
+    def _al_state(self, environment: Environment) -> Value:
+        value = environment.slots[self._al_state_slot]
+        return UNKNOWN if value is None else value
+
+    # --- compilation --------------------------------------------------------------------------------
+
+    def expression(self, expression: Expression, scope: Scope, expected: Type | None) -> Getter:
+        """Compile an expression that stands in `scope` where a value of `expected` is wanted."""
+        return compile_expression(
+            expression,
+            self._lookup(scope, expected, expression),
+            self.dictionary.functions,
+        )
+
+    def _lookup(
+        self, scope: Scope, expected: Type | None = None, within: Expression | None = None
+    ) -> Lookup:
+        hints = {} if within is None else name_hints(self.protocol, within, scope)
+
+        def lookup(name: Name) -> Getter:
+            hint = hints.get(id(name)) or expected
+            return self._getter(resolve(self.protocol, name.path, scope, hint), scope)
+
+        return lookup
+
+    def _getter(self, ref: Ref, scope: Scope) -> Getter:
+        match ref:
+            case ParameterOfInput(name=key):
+                return lambda environment: environment.parameters.get(key, UNKNOWN)
+            case VariableRef() | StateRef():
+                slot = self.slot(ref)
+                return lambda environment: _present(environment.slots[slot])
+            case RegisterFieldRef(register=register, field=field):
+                return self._register_field(register, field)
+            case ParameterRef(name=name, part=part):
+                constant = self.parameter(name, part)
+                return lambda _: constant
+            case ChoiceRef(name=name):
+                return self._choice(name)
+            case AlternativeRef(name=name):
+                return lambda _: name
+            case ConditionRef(name=name):
+                known: Value = UNKNOWN
+                if self.assuming:
+                    known = self.protocol.conditions[name].assumed
+                return lambda _: known
+            case ConstantRef(value=value):
+                return lambda _: value
+            case DefinitionRef(name=name):
+                return self.expression(self.protocol.definitions[name].value, scope, None)
+            case _:
+                assert_never(ref)
+
+    def _choice(self, name: str) -> Getter:
+        slot = self.slots[f"choice {name}"]
+
+        def choice(environment: Environment) -> Value:
+            value = environment.slots[slot]
+            if value is None:
+                environment.undecided.add(name)
+                return UNKNOWN
+            return value
+
+        return choice
+
+    def _register_field(self, register: str, field: str) -> Getter:
+        text = self.protocol.registers[register]
+        bits = next(item for item in text.fields if item.name == field)
+        slot = self.slots[f"register {register}"]
+        mask = (1 << (bits.high - bits.low + 1)) - 1
+
+        def register_field(environment: Environment) -> Value:
+            value = environment.slots[slot]
+            return value >> bits.low & mask if isinstance(value, int) else UNKNOWN
+
+        return register_field
+
+    def _rule(self, machine: str, rule: Rule | Gap) -> CompiledRule:
+        text = self.protocol.machines[machine]
+        scope = Scope(machine, rule.input)
+        values = {name: value for value, name in self.state_names(machine).items()}
+        guard = None if rule.guard is None else self.expression(rule.guard, scope, None)
+        sources = frozenset(values[name] for name in rule.sources)
+        if isinstance(rule, Gap):
+            return CompiledRule(
+                RuleName(machine, rule.name), sources, guard, None, (), (), (), (), None, gap=True
+            )
+        types = {variable.name: variable.type for variable in text.variables}
+        return CompiledRule(
+            RuleName(machine, rule.name),
+            sources,
+            guard,
+            None if rule.target is None else values[rule.target],
+            tuple(
+                (
+                    self.slots[f"{machine}.{update.variable}"],
+                    self.expression(update.value, scope, types[update.variable]),
+                )
+                for update in rule.updates
+            ),
+            tuple(
+                (
+                    self.expression(store.index, scope, None),
+                    self.expression(store.subindex, scope, None),
+                    self.expression(store.value, scope, None),
+                )
+                for store in rule.stores
+            ),
+            tuple((send.frame, self._bindings(send.frame, send.fields, scope)) for send in rule.sends),
+            tuple(
+                (
+                    give.target,
+                    tuple((n, self.expression(e, scope, None)) for n, e in give.arguments),
+                )
+                for give in rule.gives
+            ),
+            None if rule.within is None else self.expression(rule.within, scope, None),
+            gap=False,
+        )
+
+    def _bindings(
+        self, frame: str, fields: tuple[tuple[str, Expression], ...], scope: Scope
+    ) -> tuple[tuple[str, Getter], ...]:
+        types = {
+            field.name: field.type
+            for name in self.codec.trail(frame)
+            for field in self.protocol.frames[name].fields
+        }
+        return tuple((name, self.expression(value, scope, types[name])) for name, value in fields)
+
+    def _views(self, register: Register) -> tuple[View, ...]:
+        views = []
+        for field in register.fields:
+            if field.shows is None:
+                continue
+            condition = field.shows.condition
+            views.append(
+                View(
+                    field.name,
+                    field.low,
+                    field.high - field.low + 1,
+                    field.shows.value,
+                    self.expression(field.shows.value, Scope(), field.type),
+                    None if condition is None else self.expression(condition, Scope(), None),
+                )
+            )
+        return tuple(views)
+
+    def _reply_fields(self, frame: str) -> dict[str, tuple[Getter, str | None]]:
+        """Give for each field with a `reply` text its value and the slot that keeps it."""
+        found = {}
+        for name in self.codec.trail(frame):
+            for field in self.protocol.frames[name].fields:
+                if field.reply is not None:
+                    getter = self.expression(field.reply, Scope(), field.type)
+                    found[field.name] = (getter, field.into)
+        return found
+
+
+def _present(value: Value | None) -> Value:
+    return UNKNOWN if value is None else value
+
+
+def name_hints(protocol: Protocol, expression: Expression, scope: Scope) -> dict[int, Kind]:
+    """Give for names in `expression` the kind that the other side of a comparison has."""
+    hints: dict[int, Kind] = {}
+
+    def walk(part: Expression | Range, kind: Kind | None) -> None:
+        match part:
+            case Name():
+                if kind is not None:
+                    hints[id(part)] = kind
+            case Binary(operator="==" | "!=" | "<" | "<=" | ">" | ">=", left=left, right=right):
+                walk(left, expectation(protocol, right, scope))
+                walk(right, expectation(protocol, left, scope))
+            case Binary(left=left, right=right):
+                walk(left, kind)
+                walk(right, kind)
+            case Unary(operand=operand):
+                walk(operand, kind)
+            case Range(low=low, high=high):
+                walk(low, kind)
+                walk(high, kind)
+            case In(operand=operand, items=items):
+                walk(operand, None)
+                for item in items:
+                    walk(item, expectation(protocol, operand, scope))
+            case OneOf(items=items, excluded=excluded):
+                for item in items:
+                    walk(item, kind)
+                if excluded is not None:
+                    walk(excluded, kind)
+            case Conditional(condition=condition, then=then, otherwise=otherwise):
+                walk(condition, None)
+                walk(then, kind)
+                walk(otherwise, kind)
+            case Call(arguments=arguments):
+                for argument in arguments:
+                    walk(argument, None)
+            case Literal() | AnyValue():
+                pass
+            case _:
+                assert_never(part)
+
+    walk(expression, None)
+    return hints

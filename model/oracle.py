@@ -1,0 +1,505 @@
+"""The only place for judging: which states explain all that was exchanged with a device so far.
+
+The oracle sees bus exchanges only (a read or a write of ESC memory with its working counter), so
+it judges a test run and a capture alike. It keeps every state that the texts allow; an observation
+that none of them allows is a mismatch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from ecatspec.model.compiled import View
+from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.evaluate import Environment
+from ecatspec.model.interpreter import expected_fields, matches, rule_clauses, step
+from ecatspec.model.state import Event, Output, RuleName, State
+from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
+from ecatspec.model.words import message_words, register_words, value_words
+from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
+from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, resolve
+
+if TYPE_CHECKING:
+    from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import Register
+
+ROOT = "mailbox"
+MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+_LIMIT = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One access of the MainDevice; `time` in microseconds on the device's clock."""
+
+    time: int
+    write: bool
+    address: int
+    data: bytes
+    working_counter: int
+    reference: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """An input that the device has, and until when it may leave it unserved."""
+
+    event: Event
+    deadline: int
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One explanation: a state, inputs not yet served, replies that lie ready.
+
+    `loose` tells that the texts do not say what the mailbox holds.
+    """
+
+    state: State
+    inbox: tuple[Pending, ...] = ()
+    outbox: tuple[Output, ...] = ()
+    loose: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """An observation that no candidate allows."""
+
+    exchange: Exchange
+    subject: str
+    expected: tuple[str, ...]
+    observed: str
+    rules: tuple[RuleName, ...]
+    clauses: tuple[str, ...]
+    signature: str
+
+
+@dataclass(slots=True)
+class Oracle:
+    """The set of candidates for one device and its history of rules."""
+
+    model: Model
+    candidates: dict[Candidate, tuple[RuleName, ...]] = field(default_factory=dict)
+    unspecified: bool = False
+
+    # --- beginnings -------------------------------------------------------------------------------
+
+    def power_on(self, choices: dict[str, str] | None = None) -> None:
+        """Begin with a device that was just switched on; `choices` are known ways it goes."""
+        state = self.model.initial
+        for name, alternative in (choices or {}).items():
+            state = state.having(self.model.slots[f"choice {name}"], alternative)
+        self.candidates = {Candidate(state): ()}
+        self.unspecified = False
+
+    def unknown(self, *, keep: bool = False) -> None:
+        """Begin with a device of which nothing is known; `keep` what was seen of registers."""
+        base = self.model.initial
+        kept = next(iter(self.candidates)).state if keep and self.candidates else None
+        for name, slot in self.model.slots.items():
+            if name.startswith("choice "):
+                if kept is not None:
+                    base = base.having(slot, self._agreed(slot))
+            elif name.startswith("register "):
+                base = base.having(slot, kept.slots[slot] if kept else UNKNOWN)
+            elif not name.endswith(".state"):
+                base = base.having(slot, UNKNOWN)
+        states = [base]
+        for machine in self.model.protocol.machines:
+            slot = self.model.slots[f"{machine}.state"]
+            values = self.model.state_names(machine)
+            states = [state.having(slot, value) for state in states for value in values]
+        self.candidates = {Candidate(state, loose=True): () for state in states}
+
+    # --- one exchange -------------------------------------------------------------------------------
+
+    def observe(self, exchange: Exchange) -> Mismatch | None:
+        """Take one exchange into account; tell the mismatch, if there is one."""
+        if exchange.write:
+            return self._write(exchange)
+        return self._read(exchange)
+
+    def settled(self, time: int) -> bool:
+        """Tell whether every candidate has served its inputs, or had to by `time`."""
+        return not any(candidate.inbox for candidate in self._expanded(time))
+
+    def deadline(self) -> int | None:
+        """Give the time by which all inputs that may be unserved must be served."""
+        deadlines = [p.deadline for candidate in self.candidates for p in candidate.inbox]
+        return max(deadlines, default=None)
+
+    def reply_due(self) -> bool:
+        """Tell whether some candidate has or will have a reply in the mailbox."""
+        return any(c.outbox for c in self._expanded(-1))
+
+    def certain_rules(self) -> frozenset[RuleName]:
+        """Give the rules that fired in every candidate's history."""
+        histories = [set(history) for history in self.candidates.values()]
+        return frozenset(set.intersection(*histories)) if histories else frozenset()
+
+    def choices(self) -> dict[str, str]:
+        """Give the choices on which all candidates agree."""
+        found = {}
+        for name in self.model.protocol.choices:
+            value = self._agreed(self.model.slots[f"choice {name}"])
+            if isinstance(value, str):
+                found[name] = value
+        return found
+
+    def _agreed(self, slot: int) -> Value | None:
+        values = {candidate.state.slots[slot] for candidate in self.candidates}
+        return values.pop() if len(values) == 1 else None
+
+    def al_states(self) -> frozenset[str]:
+        """Give the AL states that the device may be in now (settled or not)."""
+        names = self.model.state_names("al")
+        slot = self.model.slots["al.state"]
+        return frozenset(
+            names[value]
+            for candidate in self.candidates
+            if isinstance(value := candidate.state.slots[slot], int)
+        )
+
+    # --- writes -------------------------------------------------------------------------------------
+
+    def _write(self, exchange: Exchange) -> Mismatch | None:
+        touched = [
+            register
+            for register in self.model.protocol.registers.values()
+            if register.main is Access.BOTH and _overlaps(register, exchange)
+        ]
+        if touched:
+            if exchange.working_counter:
+                self._write_registers(touched, exchange)
+            return None
+        return self._write_mailbox(exchange)
+
+    def _write_registers(self, touched: list[Register], exchange: Exchange) -> None:
+        inputs = [
+            (machine.name, source)
+            for machine in self.model.protocol.machines.values()
+            for source in machine.inputs
+            if source.kind == "write" and any(r.name in source.origin for r in touched)
+        ]
+        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        for candidate, history in self._expanded(exchange.time).items():
+            state = candidate.state
+            parameters: dict[str, Value] = {}
+            for register in touched:
+                slot = self.model.slots[f"register {register.name}"]
+                raw = self._merged(register, state.slots[slot], exchange)
+                state = state.having(slot, raw)
+                for bits in register.fields:
+                    parameters[bits.name] = (
+                        field_of(self.model.protocol, register.name, bits.name, raw)
+                        if isinstance(raw, int)
+                        else UNKNOWN
+                    )
+            changed = replace(candidate, state=state)
+            if self._mailboxes_off(state):
+                changed = replace(changed, outbox=())
+            for machine, source in inputs:
+                event = Event(machine, source.name, parameters)
+                within = max(s.within for s in step(self.model, changed.state, event))
+                pending = Pending(event, exchange.time + within)
+                changed = replace(changed, inbox=(*changed.inbox, pending))
+            after[changed] = history
+        self.candidates = after
+
+    def _mailboxes_off(self, state: State) -> bool:
+        raw = state.slots[self.model.slots[f"register {MAIN_IN}_activation"]]
+        if not isinstance(raw, int):
+            return False
+        return not field_of(self.model.protocol, f"{MAIN_IN}_activation", "enabled", raw)
+
+    def _merged(self, register: Register, before: Value | None, exchange: Exchange) -> Value:
+        covered = range(
+            max(register.address, exchange.address),
+            min(register.address + register.size, exchange.address + len(exchange.data)),
+        )
+        if not isinstance(before, int):
+            if len(covered) < register.size and register.name.startswith(SYNC_MANAGERS):
+                return UNKNOWN
+            before = 0
+        raw = bytearray(before.to_bytes(register.size, "little"))
+        for address in covered:
+            raw[address - register.address] = exchange.data[address - exchange.address]
+        return int.from_bytes(raw, "little")
+
+    def _write_mailbox(self, exchange: Exchange) -> Mismatch | None:
+        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        refused: dict[Candidate, tuple[RuleName, ...]] = {}
+        concerned = False
+        for candidate, history in self._expanded(exchange.time).items():
+            area = self._area(candidate.state, MAIN_OUT)
+            if area is None or not _covers_end(area, exchange):
+                after[candidate] = history
+                continue
+            concerned = True
+            if not exchange.working_counter:
+                busy = candidate.inbox or candidate.outbox or candidate.loose
+                (after if busy or not self._alive(candidate) else refused)[candidate] = history
+                continue
+            message = self.model.codec.decode(exchange.data, ROOT)
+            if message is None:
+                after[replace(candidate, loose=True)] = history
+                continue
+            event = Event("mailbox", "mail", message.fields, message.trail)
+            within = max(s.within for s in step(self.model, candidate.state, event))
+            pending = Pending(event, exchange.time + within)
+            after[replace(candidate, inbox=(*candidate.inbox, pending))] = history
+        if concerned and not after:
+            return self._mismatch(
+                exchange, "mailbox write", refused, {"the mailbox takes the request": None},
+                "refused: working counter 0", (),
+            )
+        self.candidates = after
+        return None
+
+    # --- reads --------------------------------------------------------------------------------------
+
+    def _read(self, exchange: Exchange) -> Mismatch | None:
+        if not exchange.working_counter:
+            return self._read_empty(exchange)
+        for register in self.model.protocol.registers.values():
+            if _contains(register, exchange):
+                mismatch = self._read_register(register, exchange)
+                if mismatch is not None:
+                    return mismatch
+        if any(_contains(r, exchange) for r in self.model.protocol.registers.values()):
+            return None
+        return self._read_mailbox(exchange)
+
+    def _read_register(self, register: Register, exchange: Exchange) -> Mismatch | None:
+        offset = register.address - exchange.address
+        raw = int.from_bytes(exchange.data[offset : offset + register.size], "little")
+        if register.name == f"{MAIN_IN}_status":
+            return self._read_full(register, raw, exchange)
+        views = self.model.views[register.name]
+        if not views:
+            return None
+        before = self._expanded(exchange.time)
+        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        for candidate, history in before.items():
+            for state in self._seen(register, candidate.state, raw):
+                after.setdefault(replace(candidate, state=state), history)
+        if after:
+            self.candidates = after
+            return None
+        expected = {
+            register_words(self.model, register.name, self._shown(register, candidate.state)): None
+            for candidate in before
+        }
+        observed = register_words(
+            self.model,
+            register.name,
+            {v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views},
+        )
+        return self._mismatch(exchange, register.name, before, expected, observed, ())
+
+    def _shown(self, register: Register, state: State) -> dict[str, Value]:
+        environment = Environment(state.slots, {}, {})
+        return {view.name: view.value(environment) for view in self.model.views[register.name]}
+
+    def _seen(self, register: Register, state: State, raw: int) -> list[State]:
+        """Give the states after `raw` was read, none where the state does not allow it."""
+        environment = Environment(state.slots, {}, {})
+        shown = []
+        for view in self.model.views[register.name]:
+            shown.append((view, view.value(environment)))
+        if environment.undecided:
+            choice = min(environment.undecided)
+            slot = self.model.slots[f"choice {choice}"]
+            return [
+                seen
+                for alternative in self.model.protocol.choices[choice].alternatives
+                for seen in self._seen(register, state.having(slot, alternative.name), raw)
+            ]
+        for view, value in shown:
+            observed = raw >> view.low & ((1 << view.width) - 1)
+            if not admits(value, observed):
+                return []
+            if isinstance(value, Pattern):
+                state = self._narrowed(view, state, observed)
+        return [state]
+
+    def _narrowed(self, view: View, state: State, observed: int) -> State:
+        """Give the state in which the variable that the field shows has the value observed."""
+        expression: Expression = view.expression
+        environment = Environment(state.slots, {}, {})
+        while isinstance(expression, Conditional):
+            holds = self.model.expression(expression.condition, Scope(), None)(environment)
+            if isinstance(holds, Pattern):
+                return state
+            expression = expression.then if holds else expression.otherwise
+        if not isinstance(expression, Name):
+            return state
+        ref = resolve(self.model.protocol, expression.path, Scope())
+        if isinstance(ref, VariableRef | StateRef):
+            return state.having(self.model.slot(ref), observed)
+        return state
+
+    def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
+        full = bool(field_of(self.model.protocol, register.name, "full", raw))
+        before = self._expanded(exchange.time)
+        after = {
+            candidate: history
+            for candidate, history in before.items()
+            if candidate.loose or not self._alive(candidate) or bool(candidate.outbox) == full
+        }
+        if after:
+            self.candidates = after
+            return None
+        observed = "mailbox full" if full else "mailbox empty: no reply"
+        return self._mismatch(
+            exchange, "reply", before, self._expected_replies(before), observed,
+            tuple(output for candidate in before for output in candidate.outbox[:1]),
+        )
+
+    def _read_empty(self, exchange: Exchange) -> Mismatch | None:
+        area = self._common_area(MAIN_IN)
+        if area is None or not _covers_end(area, exchange):
+            return None
+        register = self.model.protocol.registers[f"{MAIN_IN}_status"]
+        return self._read_full(register, 0, exchange)
+
+    def _read_mailbox(self, exchange: Exchange) -> Mismatch | None:
+        area = self._common_area(MAIN_IN)
+        if area is None or not _covers_end(area, exchange):
+            return None
+        data = exchange.data[max(0, area[0] - exchange.address) :]
+        message = self.model.codec.decode(data, ROOT)
+        before = self._expanded(exchange.time)
+        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        for candidate, history in before.items():
+            if candidate.loose or not self._alive(candidate):
+                after[replace(candidate, outbox=candidate.outbox[1:])] = history
+            elif candidate.outbox and message is not None:
+                for state in matches(self.model, candidate.state, candidate.outbox[0], message):
+                    after[replace(candidate, state=state, outbox=candidate.outbox[1:])] = history
+        if after:
+            self.candidates = after
+            return None
+        observed = "no message" if message is None else message_words(self.model, message)
+        return self._mismatch(
+            exchange, "reply", before, self._expected_replies(before), observed,
+            tuple(output for candidate in before for output in candidate.outbox[:1]),
+        )
+
+    def _expected_replies(self, candidates: dict[Candidate, tuple[RuleName, ...]]) -> dict[str, None]:
+        expected: dict[str, None] = {}
+        for candidate in candidates:
+            if candidate.outbox:
+                output = candidate.outbox[0]
+                fields = expected_fields(self.model, candidate.state, output)
+                stated = {n: v for n, v in fields.items() if v != UNKNOWN}
+                words = ", ".join(
+                    f"{name} {value_words(self.model, output.frame, name, value)}"
+                    for name, value in stated.items()
+                )
+                expected[f"{output.frame}: {words}"] = None
+            elif not candidate.inbox:
+                expected["no reply"] = None
+        return expected
+
+    # --- helpers ------------------------------------------------------------------------------------
+
+    def _expanded(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
+        """Give all candidates, with inputs served or, until their deadline, not yet."""
+        found: dict[Candidate, tuple[RuleName, ...]] = {}
+        work = list(self.candidates.items())
+        while work and len(found) < _LIMIT:
+            candidate, history = work.pop()
+            if candidate in found:
+                continue
+            if not any(pending.deadline < time for pending in candidate.inbox):
+                found[candidate] = history
+            first: set[str] = set()
+            for position, pending in enumerate(candidate.inbox):
+                if pending.event.machine in first:
+                    continue
+                first.add(pending.event.machine)
+                rest = candidate.inbox[:position] + candidate.inbox[position + 1 :]
+                work += self._served(candidate, pending.event, rest, history)
+        return found
+
+    def _served(
+        self,
+        candidate: Candidate,
+        event: Event,
+        rest: tuple[Pending, ...],
+        history: tuple[RuleName, ...],
+    ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
+        was_alive = self._alive(candidate)
+        served = []
+        for taken in step(self.model, candidate.state, event):
+            after = Candidate(
+                taken.state,
+                rest,
+                candidate.outbox + taken.outputs,
+                candidate.loose or (taken.unspecified and event.machine == "mailbox"),
+            )
+            alive = self._alive(after)
+            if alive != was_alive:
+                after = replace(after, outbox=(), loose=not alive)
+            if event.input == "mail" and not taken.unspecified and not candidate.outbox:
+                after = replace(after, loose=False)
+            self.unspecified = self.unspecified or taken.unspecified
+            served.append((after, history + taken.rules))
+        return served
+
+    def _alive(self, candidate: Candidate) -> bool:
+        alive = self.model.definition("mailbox_alive")
+        return alive(Environment(candidate.state.slots, {}, {})) is not False
+
+    def _area(self, state: State, name: str) -> tuple[int, int] | None:
+        raw = state.slots[self.model.slots[f"register {name}"]]
+        if not isinstance(raw, int):
+            parameter = "mailbox_out" if name == MAIN_OUT else "mailbox_in"
+            return self.model.parameter(parameter, "start"), self.model.parameter(parameter, "length")
+        start = field_of(self.model.protocol, name, "start", raw)
+        length = field_of(self.model.protocol, name, "length", raw)
+        return (start, length) if length else None
+
+    def _common_area(self, name: str) -> tuple[int, int] | None:
+        areas = {self._area(candidate.state, name) for candidate in self.candidates}
+        return areas.pop() if len(areas) == 1 else None
+
+    def _mismatch(
+        self,
+        exchange: Exchange,
+        subject: str,
+        before: dict[Candidate, tuple[RuleName, ...]],
+        expected: dict[str, None],
+        observed: str,
+        outputs: tuple[Output, ...],
+    ) -> Mismatch:
+        rules = dict.fromkeys(output.rule for output in outputs)
+        if not rules:
+            rules = dict.fromkeys(history[-1] for history in before.values() if history)
+        clauses = dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule))
+        return Mismatch(
+            exchange,
+            subject,
+            tuple(expected),
+            observed,
+            tuple(rules),
+            tuple(clauses),
+            f"{subject} {' '.join(sorted(str(rule) for rule in rules))}",
+        )
+
+
+def _overlaps(register: Register, exchange: Exchange) -> bool:
+    end = exchange.address + len(exchange.data)
+    return register.address < end and exchange.address < register.address + register.size
+
+
+def _contains(register: Register, exchange: Exchange) -> bool:
+    end = exchange.address + len(exchange.data)
+    return exchange.address <= register.address and register.address + register.size <= end
+
+
+def _covers_end(area: tuple[int, int], exchange: Exchange) -> bool:
+    end = area[0] + area[1]
+    return exchange.address < end <= exchange.address + len(exchange.data)

@@ -1,0 +1,174 @@
+"""The only place for the virtual SubDevice: the texts at work on an ESC memory.
+
+Where the texts leave a choice it goes the first way or the pinned one; where they accept a set it
+takes the first value; conditions of the device are as the texts assume.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeAlias
+
+from ecatspec.model.codec import Message, concrete
+from ecatspec.model.compiled import Model
+from ecatspec.model.dictionary import encode_value
+from ecatspec.model.esc import SYNC_MANAGERS, Esc
+from ecatspec.model.evaluate import Environment
+from ecatspec.model.interpreter import expected_fields, step
+from ecatspec.model.state import Event, Output, State
+from ecatspec.model.values import Pattern, Value
+
+if TYPE_CHECKING:
+    from ecatspec.spec.language.ir import Protocol
+
+SdoServer: TypeAlias = Callable[[bytes], list[bytes]]
+ROOT = "mailbox"
+MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+
+
+class VirtualSubDevice:
+    """A SubDevice made of a protocol; `sdo_server` may serve SDO requests in its place."""
+
+    def __init__(self, protocol: Protocol, sdo_server: SdoServer | None = None) -> None:
+        """Compile the protocol and power on."""
+        self.model = Model(protocol, assuming=True)
+        self._sdo_server = sdo_server
+        codec = self.model.codec
+        self._request_service = codec.fixed("sdo_request")["service"]
+        self._response_service = codec.fixed("sdo_response")["service"]
+        self.reset()
+
+    def reset(self) -> None:
+        """Power cycle."""
+        self.esc = Esc(self.model)
+        self.state: State = self.model.initial
+        for entry in self.model.protocol.objects:
+            default = 0 if entry.default is None else entry.default
+            value = encode_value(entry, default)
+            self.state = self.state.keeping((entry.index, entry.subindex), value)
+        self._queue: list[bytes] = []
+        self._show()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read as the MainDevice."""
+        result = self.esc.main_read(address, length)
+        self.poll()
+        return result
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as the MainDevice."""
+        counter = self.esc.main_write(address, data)
+        self.poll()
+        return counter
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass; this device answers at once, so nothing is left to do."""
+        del seconds
+        self.poll()
+
+    # --- the device's side --------------------------------------------------------------------------
+
+    def poll(self) -> None:
+        """Do what a device's main loop does: look at the events and serve them."""
+        if self.esc.settings_changed:
+            self._take_settings()
+        if self.esc.al_control_changed:
+            self._take_request()
+        self._serve_mailbox()
+        self._show()
+
+    def _registers(self) -> None:
+        for name, slot in self.model.slots.items():
+            kind, _, register = name.partition(" ")
+            if kind == "register":
+                self.state = self.state.having(slot, self.esc.register(register))
+
+    def _take_settings(self) -> None:
+        for name in SYNC_MANAGERS:
+            at = self.model.protocol.registers[f"{name}_activation"]
+            self.esc.pdi_read(at.address, at.size)
+        self._registers()
+        self._run(Event("al", "settings", {}))
+
+    def _take_request(self) -> None:
+        at = self.model.protocol.registers["al_control"]
+        raw = int.from_bytes(self.esc.pdi_read(at.address, at.size), "little")
+        self._registers()
+        parameters: dict[str, Value] = {
+            field.name: raw >> field.low & ((1 << (field.high - field.low + 1)) - 1)
+            for field in at.fields
+        }
+        self._run(Event("al", "request", parameters))
+
+    def _serve_mailbox(self) -> None:
+        inbox, outbox = self.esc.channel(MAIN_OUT), self.esc.channel(MAIN_IN)
+        if inbox is not None and inbox[2] and not self._queue and outbox and not outbox[2]:
+            data = self.esc.pdi_read(inbox[0], inbox[1])
+            message = self.model.codec.decode(data, ROOT)
+            if message is not None:
+                self._run(Event("mailbox", "mail", message.fields, message.trail), message)
+        if self._queue and outbox is not None and not outbox[2]:
+            reply = self._queue.pop(0)
+            self.esc.pdi_write(outbox[0], reply.ljust(outbox[1], b"\0"))
+
+    def _run(self, event: Event, message: Message | None = None) -> None:
+        before = self.state.slots[self.model.slots["al.state"]]
+        taken = step(self.model, self.state, event)[0]
+        self.state = taken.state
+        if self.state.slots[self.model.slots["al.state"]] != before:
+            self._queue.clear()
+        served = any(rule.machine == "sdo" for rule in taken.rules)
+        if self._sdo_server and message and served and self._is_sdo(message):
+            self._queue += self._served(self._sdo_server, message)
+        else:
+            self._queue += [self._encoded(output) for output in taken.outputs]
+
+    def _is_sdo(self, message: Message) -> bool:
+        return message.fields.get("service") == self._request_service
+
+    def _served(self, server: SdoServer, message: Message) -> list[bytes]:
+        codec = self.model.codec
+        body = message.fields.get("body")
+        replies = []
+        for answer in server(body if isinstance(body, bytes) else b""):
+            trial = codec.encode("coe", {"service": self._request_service, "body": answer})
+            decoded = codec.decode(trial, ROOT)
+            aborts = decoded is not None and decoded.frame == "sdo_abort"
+            service = self._request_service if aborts else self._response_service
+            defaults = self._defaults("coe")
+            replies.append(codec.encode("coe", {**defaults, "service": service, "body": answer}))
+        return replies
+
+    def _encoded(self, output: Output) -> bytes:
+        fields = expected_fields(self.model, self.state, output)
+        return self.model.codec.encode(output.frame, self._concrete(fields, output.frame))
+
+    def _defaults(self, frame: str) -> dict[str, Value]:
+        environment = Environment(self.state.slots, {}, {})
+        fields = {name: get(environment) for name, (get, _) in self.model.replies[frame].items()}
+        return self._concrete(fields, frame)
+
+    def _concrete(self, fields: dict[str, Value], frame: str) -> dict[str, Value]:
+        chosen: dict[str, Value] = {}
+        for name, value in fields.items():
+            into = self.model.replies[frame].get(name, (None, None))[1]
+            after = self.state.slots[self.model.slots[into]] if into else 0
+            taken = concrete(value, after) if isinstance(after, int) else concrete(value)
+            chosen[name] = taken
+            if into:
+                self.state = self.state.having(self.model.slots[into], taken)
+        return chosen
+
+    def _show(self) -> None:
+        """Write what the registers show, AL Status Code before AL Status."""
+        environment = Environment(self.state.slots, {}, {})
+        shown = sorted(self.model.views.items(), key=lambda item: -self.model.protocol.registers[item[0]].address)
+        for register, views in shown:
+            if not views:
+                continue
+            raw = 0
+            for view in views:
+                value = view.value(environment)
+                number = 0 if isinstance(value, Pattern) or not isinstance(value, int) else value
+                raw |= int(number) << view.low
+            self.esc.set_register(register, raw)

@@ -1,0 +1,73 @@
+"""The only place where values, registers and messages become words for people."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from ecatspec.model.values import Pattern, Value
+from ecatspec.spec.language.ir import Bool, Named, SInt, Type, UInt
+
+if TYPE_CHECKING:
+    from ecatspec.model.codec import Message
+    from ecatspec.model.compiled import Model
+
+_QUIET = ("address", "channel", "priority", "reserved", "payload", "body", "number")
+
+
+def typed_words(model: Model, kind: Type, value: Value) -> str:
+    """Say a value of a type: hexadecimal as wide as the type, with its name where it has one."""
+    match value:
+        case Pattern(ranges=None):
+            return "any"
+        case Pattern(ranges=ranges, excluded=excluded):
+            parts = []
+            for low, high in ranges or ():
+                first = typed_words(model, kind, low)
+                parts.append(first if low == high else f"{first}..{typed_words(model, kind, high)}")
+            text = " or ".join(parts)
+            return text if excluded is None else f"{text} but not {excluded}"
+        case bytes():
+            return value.hex(" ").upper() or "empty"
+        case str():
+            return value
+    match kind:
+        case Bool():
+            return "yes" if value else "no"
+        case Named(table=table):
+            text = model.protocol.tables[table]
+            digits = (text.width + 3) // 4
+            number = f"0x{value:0{digits}X}" if text.width > 8 else str(int(value))
+            names = [row.name for row in text.rows if row.value == value]
+            return f"{number} {names[0]}" if names else number
+        case UInt(width=width) if width >= 16:
+            return f"0x{value:0{(width + 3) // 4}X}"
+        case SInt() | UInt():
+            return str(int(value))
+        case _:
+            return str(value)
+
+
+def value_words(model: Model, frame: str, field: str, value: Value) -> str:
+    """Say the value of a field of a frame."""
+    for name in reversed(model.codec.trail(frame)):
+        for item in model.protocol.frames[name].fields:
+            if item.name == field:
+                return typed_words(model, item.type, value)
+    return str(value)
+
+
+def register_words(model: Model, register: str, fields: Mapping[str, Value]) -> str:
+    """Say what a register holds, field by field."""
+    types = {field.name: field.type for field in model.protocol.registers[register].fields}
+    words = ", ".join(f"{n} {typed_words(model, types[n], v)}" for n, v in fields.items())
+    return f"{register}: {words}"
+
+
+def message_words(model: Model, message: Message) -> str:
+    """Say a message: its layout and every field that tells something."""
+    own = [name for name in model.codec.field_names(message.frame) if name not in _QUIET]
+    words = ", ".join(
+        f"{name} {value_words(model, message.frame, name, message.fields[name])}" for name in own
+    )
+    return f"{message.frame}: {words}"

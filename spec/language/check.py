@@ -1,0 +1,910 @@
+"""The only place for finding out whether texts make sense: names, kinds of values, meaning."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+
+from ecatspec.spec.language.diagnostics import Code, Diagnostic
+from ecatspec.spec.language.ir import (
+    Access,
+    Anomaly,
+    AnyValue,
+    Area,
+    Binary,
+    Bool,
+    Bytes,
+    Call,
+    Choice,
+    Clause,
+    Close,
+    CodeTable,
+    Condition,
+    Conditional,
+    Definition,
+    Dictionary,
+    Example,
+    Frame,
+    Gap,
+    In,
+    Literal,
+    Machine,
+    Manual,
+    Name,
+    Named,
+    ObjectEntry,
+    OneOf,
+    Parameter,
+    Pin,
+    Range,
+    Register,
+    Remove,
+    Replace,
+    Rule,
+    SetParameter,
+    SInt,
+    Span,
+    Text,
+    Time,
+    Type,
+    UInt,
+    Unary,
+)
+from ecatspec.spec.language.overlap import meaning
+from ecatspec.spec.language.parse import TIME_DIGITS
+from ecatspec.spec.language.scope import (
+    COMPARISONS,
+    FUNCTIONS,
+    ChoiceRef,
+    ConstantRef,
+    DefinitionRef,
+    Kind,
+    Scope,
+    UnresolvedName,
+    VariableRef,
+    bounds_of,
+    expectation,
+    frame_chain,
+    frame_fields,
+    input_of,
+    kind_of,
+    kind_of_ref,
+    known_names,
+    resolve,
+    width_of,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from ecatspec.spec.language.ir import Declaration, Expression, Protocol, Send, SourceText
+
+_LAYOUT_WORDS: Final = ("reserved", "padding", "data")
+"""Names that several frames around each other may use: nobody refers to them."""
+
+_Statement: TypeAlias = Pin | Close | SetParameter | Replace | Remove | Dictionary
+_BITS: Final = 8
+
+
+def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
+    """What is wrong with the texts before they are put together: said twice, cited, not cited."""
+    declarations = [declaration for text in texts for declaration in text.declarations]
+    declared = {clause.id for clause in declarations if isinstance(clause, Clause)}
+    findings = [*_twice(texts), *_circles(declarations)]
+    for declaration in declarations:
+        for name, clauses, at in _citations(declaration):
+            if not clauses and name.startswith(("rule", "gap")):
+                findings.append(
+                    Diagnostic(
+                        Code.ECS105,
+                        at,
+                        f"{name} cites no clause",
+                        "add the clause that it comes from: [AL-03]",
+                    )
+                )
+            findings.extend(
+                Diagnostic(
+                    Code.ECS104,
+                    at,
+                    f"no text declares clause {clause}, which {name} cites",
+                    f"declare it{_near(clause, declared, ', or cite ')}",
+                )
+                for clause in clauses
+                if clause not in declared
+            )
+    return findings
+
+
+def check_protocol(protocol: Protocol) -> list[Diagnostic]:
+    """What is wrong with texts put together: the findings of the first phase that has any."""
+    checker = _Checker(protocol)
+    checker.structure()
+    checker.expressions()
+    for phase in "12":
+        if found := checker.of_phase(phase):
+            return found
+    checker.objects()
+    return [*checker.of_phase("4"), *meaning(protocol)]
+
+
+def _near(name: str, known: Iterable[str], before: str = "; did you mean ") -> str:
+    near = difflib.get_close_matches(name, sorted(set(known)), 1, 0.6)
+    return f"{before}`{near[0]}`" if near else ""
+
+
+# --- before the merge ----------------------------------------------------------------------------
+
+
+def _twice(texts: Sequence[SourceText]) -> Iterator[Diagnostic]:
+    """Declarations of one kind share one set of names, whatever text they stand in."""
+    seen: dict[tuple[str, str], Span] = {}
+    for text in texts:
+        owner = "" if text.extends is None else f"{text.name}: "
+        for declaration in text.declarations:
+            kind, name = _key(declaration)
+            local = isinstance(
+                declaration, (ObjectEntry, CodeTable, *_Statement.__args__)
+            )  # a device text may say these again
+            key = (kind, owner + name if local else name)
+            if key in seen:
+                yield _again(f"{kind} {name}", declaration.at, seen[key])
+            seen.setdefault(key, declaration.at)
+            yield from _twice_inside(declaration)
+
+
+def _again(what: str, at: Span, first: Span, code: Code = Code.ECS102) -> Diagnostic:
+    return Diagnostic(code, at, f"{what} stands already at {first}", "take one of them away")
+
+
+def _key(declaration: Declaration) -> tuple[str, str]:
+    match declaration:
+        case Clause() | Anomaly():
+            key = type(declaration).__name__.lower(), declaration.id
+        case Manual():
+            key = "manual", declaration.file
+        case CodeTable():
+            key = "table", declaration.name
+        case ObjectEntry():
+            key = "object", f"{declaration.index:#06x}:{declaration.subindex}"
+        case Pin():
+            key = "pin", declaration.choice
+        case Close():
+            key = "closed", declaration.table
+        case SetParameter():
+            key = "setting", declaration.name
+        case Replace() | Remove():
+            key = "change of rule", f"{declaration.machine}.{declaration.rule}"
+        case Dictionary():
+            key = "dictionary", ""
+        case (
+            Parameter()
+            | Register()
+            | Frame()
+            | Machine()
+            | Choice()
+            | Condition()
+            | Definition()
+            | Example()
+        ):
+            key = type(declaration).__name__.lower(), declaration.name
+        case _:
+            assert_never(declaration)
+    return key
+
+
+def _twice_inside(declaration: Declaration) -> Iterator[Diagnostic]:
+    named: list[tuple[str, str, Span]] = []
+    match declaration:
+        case CodeTable():
+            named += [("row", row.name, row.at) for row in declaration.rows]
+            named += [("value", f"{row.value:#x}", row.at) for row in declaration.rows]
+        case Register():
+            named += [("field", field.name, field.at) for field in declaration.fields]
+        case Frame():
+            named += [
+                ("field", field.name, field.at)
+                for field in declaration.fields
+                if not field.name.startswith(_LAYOUT_WORDS)
+            ]
+        case Choice():
+            named += [("alternative", a.name, declaration.at) for a in declaration.alternatives]
+        case Machine():
+            named += [("variable", v.name, v.at) for v in declaration.variables]
+            named += [("input", item.name, item.at) for item in declaration.inputs]
+            named += [("state", state, declaration.at) for state in declaration.states]
+            rows: list[tuple[str, Span]] = [(rule.name, rule.at) for rule in declaration.rules]
+            rows += [(gap.name, gap.at) for gap in declaration.gaps]
+            first: dict[str, Span] = {}
+            for name, at in sorted(rows, key=lambda row: row[1]):
+                if name in first:
+                    what = f"a rule `{declaration.name}.{name}`"
+                    yield _again(what, at, first[name], Code.ECS103)
+                first.setdefault(name, at)
+        case _:
+            pass
+    seen: dict[tuple[str, str], Span] = {}
+    for kind, name, at in named:
+        if (kind, name) in seen:
+            yield _again(f"{kind} `{name}`", at, seen[kind, name])
+        seen.setdefault((kind, name), at)
+
+
+def _circles(declarations: Iterable[Declaration]) -> Iterator[Diagnostic]:
+    """A definition that leads back to itself means nothing."""
+    definitions = {d.name: d for d in declarations if isinstance(d, Definition)}
+    for definition in definitions.values():
+        reached: set[str] = set()
+        waiting = [definition.value]
+        while waiting:
+            for name in names_in(waiting.pop()):
+                if name in definitions and name not in reached:
+                    reached.add(name)
+                    waiting.append(definitions[name].value)
+        if definition.name in reached:
+            yield Diagnostic(
+                Code.ECS101,
+                definition.at,
+                f"definition `{definition.name}` leads back to itself",
+                "write out what it means",
+            )
+
+
+def names_in(expression: Expression | Range) -> Iterator[str]:
+    """All names that an expression mentions, of functions not."""
+    match expression:
+        case Name(path):
+            yield path
+        case _:
+            for part in parts_of(expression):
+                yield from names_in(part)
+
+
+def parts_of(expression: Expression | Range) -> tuple[Expression | Range, ...]:
+    """What an expression is made of."""
+    match expression:
+        case Literal() | Name() | AnyValue():
+            return ()
+        case Unary():
+            return (expression.operand,)
+        case Binary():
+            return expression.left, expression.right
+        case Range():
+            return expression.low, expression.high
+        case In():
+            return (expression.operand, *expression.items)
+        case Conditional():
+            return expression.condition, expression.then, expression.otherwise
+        case Call():
+            return expression.arguments
+        case OneOf():
+            excluded = () if expression.excluded is None else (expression.excluded,)
+            return (*expression.items, *excluded)
+        case _:
+            assert_never(expression)
+
+
+def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...], Span]]:
+    """What cites clauses: its name, the clauses, its place."""
+    match declaration:
+        case Clause() | Manual():
+            return
+        case CodeTable():
+            for row in declaration.rows:
+                yield f"row `{row.name}`", row.clauses, row.at
+        case Machine():
+            for rule in declaration.rules:
+                yield f"rule `{rule.name}`", rule.clauses, rule.at
+            for gap in declaration.gaps:
+                yield f"gap `{gap.name}`", gap.clauses, gap.at
+        case Register():
+            yield f"register `{declaration.name}`", declaration.clauses, declaration.at
+            for field in declaration.fields:
+                yield f"field `{field.name}`", field.clauses, field.at
+        case _:
+            kind, name = _key(declaration)
+            yield f"{kind} {name}", declaration.clauses, declaration.at
+
+
+# --- after the merge -----------------------------------------------------------------------------
+
+
+class _Checker:
+    """Walks over a whole Protocol and notes what is wrong."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self._protocol = protocol
+        self._found: dict[Diagnostic, None] = {}
+
+    def of_phase(self, phase: str) -> list[Diagnostic]:
+        """The findings whose code begins with this digit."""
+        return [d for d in self._found if d.code.name[len("ECS")] == phase]
+
+    def _note(self, code: Code, at: Span, message: str, remedy: str) -> None:
+        self._found[Diagnostic(code, at, message, remedy)] = None
+
+    def _missing(self, kind: str, name: str, known: Iterable[str], at: Span) -> None:
+        names = sorted(set(known))
+        remedy = f"declare it{_near(name, names, ', or write ')}"
+        self._note(Code.ECS106, at, f"there is no {kind} `{name}`", remedy)
+
+    # --- structure: what must exist, what must fit ---
+
+    def structure(self) -> None:
+        """Check everything that is no expression."""
+        for table in self._protocol.tables.values():
+            self._table(table)
+        for parameter in self._protocol.parameters.values():
+            self._type(parameter.type, parameter.at)
+        for register in self._protocol.registers.values():
+            self._register(register)
+        for frame in self._protocol.frames.values():
+            self._frame(frame)
+        for machine in self._protocol.machines.values():
+            self._machine(machine)
+
+    def _table(self, table: CodeTable) -> None:
+        for row in table.rows:
+            if row.value >> table.width:
+                self._note(
+                    Code.ECS201,
+                    row.at,
+                    f"{row.value:#x} does not fit the {table.width} bits of `{table.name}`",
+                    "make the table wider or the value smaller",
+                )
+
+    def _type(self, kind: Type, at: Span) -> None:
+        if isinstance(kind, Named) and kind.table not in self._protocol.tables:
+            self._missing("table", kind.table, self._protocol.tables, at)
+        if isinstance(kind, UInt | SInt) and not kind.width:
+            self._note(Code.ECS201, at, "a number of no bits", "give it at least one bit")
+
+    def _register(self, register: Register) -> None:
+        bits = register.size * _BITS
+        if register.reset >> bits:
+            self._note(
+                Code.ECS201,
+                register.at,
+                f"the reset value does not fit the {bits} bits of `{register.name}`",
+                "make it smaller",
+            )
+        taken: dict[int, str] = {}
+        for field in register.fields:
+            self._type(field.type, field.at)
+            span = range(field.low, field.high + 1)
+            if field.high >= bits or not span:
+                self._note(
+                    Code.ECS201,
+                    field.at,
+                    f"bits {field.low}..{field.high} are not in the {bits} bits of"
+                    f" `{register.name}`",
+                    f"stay between 0 and {bits - 1}, low bit first",
+                )
+            others = sorted({taken[bit] for bit in span if bit in taken})
+            if others:
+                self._note(
+                    Code.ECS201,
+                    field.at,
+                    f"`{field.name}` takes bits of `{others[0]}`",
+                    "move one of them",
+                )
+            taken |= dict.fromkeys(span, field.name)
+            width = width_of(self._protocol, field.type)
+            if width is not None and span and width != len(span):
+                self._note(
+                    Code.ECS201,
+                    field.at,
+                    f"`{field.name}` has {len(span)} bits and a type of {width}",
+                    "make them equal",
+                )
+
+    def _frame(self, frame: Frame) -> None:
+        parent = None if frame.parent is None else self._protocol.frames.get(frame.parent)
+        if frame.parent is not None and parent is None:
+            self._missing("frame", frame.parent, self._protocol.frames, frame.at)
+        chain = list(frame_chain(self._protocol, frame.name))
+        if parent is not None and self._protocol.frames[chain[-1]].parent is not None:
+            self._note(Code.ECS204, frame.at, f"`{frame.name}` lies in itself", "break the circle")
+            return
+        if parent is not None and not (
+            parent.fields and isinstance(parent.fields[-1].type, Bytes)
+        ):
+            self._note(
+                Code.ECS204,
+                frame.at,
+                f"`{parent.name}` has no bytes at its end that `{frame.name}` could lie in",
+                "give it a last field of type bytes",
+            )
+        outer = {
+            field.name: name for name in chain[1:] for field in self._protocol.frames[name].fields
+        }
+        for field in frame.fields:
+            if field.name in outer and not field.name.startswith(_LAYOUT_WORDS):
+                self._note(
+                    Code.ECS204,
+                    field.at,
+                    f"`{field.name}` is a field of `{outer[field.name]}` around it already",
+                    "give it another name",
+                )
+        self._layout(frame)
+        fields = {} if parent is None else frame_fields(self._protocol, parent.name)
+        for name, _ in frame.conditions:
+            if parent is not None and name not in fields:
+                self._missing(f"field of `{parent.name}`", name, fields, frame.at)
+
+    def _layout(self, frame: Frame) -> None:
+        bits: int | None = 0
+        for position, field in enumerate(frame.fields):
+            self._type(field.type, field.at)
+            width = width_of(self._protocol, field.type)
+            if isinstance(field.type, Bytes):
+                if field.type.length is None and position + 1 < len(frame.fields):
+                    self._note(
+                        Code.ECS204,
+                        field.at,
+                        f"`{field.name}` takes all bytes, and `{frame.fields[-1].name}` follows",
+                        "say how many bytes it has: bytes(n)",
+                    )
+                if bits is not None and bits % _BITS:
+                    self._note(
+                        Code.ECS204,
+                        field.at,
+                        f"`{field.name}` begins at bit {bits}, in the middle of a byte",
+                        "add a reserved field before it",
+                    )
+                bits = 0
+            elif width is None:
+                if not isinstance(field.type, Named):
+                    self._note(
+                        Code.ECS204,
+                        field.at,
+                        f"`{field.name}` has no place in a frame with this type",
+                        "take a number, bool, a table or bytes",
+                    )
+                bits = None
+            elif bits is not None:
+                bits += width
+        if bits is not None and bits % _BITS:
+            self._note(
+                Code.ECS204,
+                frame.at,
+                f"the fields of `{frame.name}` end in the middle of a byte",
+                "add a reserved field",
+            )
+
+    def _machine(self, machine: Machine) -> None:
+        table = self._protocol.tables.get(machine.table)
+        if table is None:
+            self._missing("table", machine.table, self._protocol.tables, machine.at)
+        else:
+            rows = [row.name for row in table.rows]
+            for state in machine.states:
+                if state not in rows:
+                    self._missing(f"row of table `{table.name}`", state, rows, machine.at)
+        self._states(machine, (machine.initial,), machine.at)
+        for variable in machine.variables:
+            self._type(variable.type, variable.at)
+        for item in machine.inputs:
+            areas = [p.name for p in self._protocol.parameters.values() if p.type == Area()]
+            known = [*self._protocol.registers, *areas]
+            if item.kind == "frame":
+                known = list(self._protocol.frames)
+            for origin in item.origin:
+                if origin not in known:
+                    kind = "frame" if item.kind == "frame" else "register or area"
+                    self._missing(kind, origin, known, item.at)
+            for _, kind_of_parameter in item.parameters:
+                self._type(kind_of_parameter, item.at)
+        rules_and_gaps: tuple[Rule | Gap, ...] = (*machine.rules, *machine.gaps)
+        for row in rules_and_gaps:
+            self._states(machine, row.sources, row.at)
+            inputs = [item.name for item in machine.inputs]
+            if row.input not in inputs:
+                self._missing("input", row.input, inputs, row.at)
+        for rule in machine.rules:
+            if rule.target is not None:
+                self._states(machine, (rule.target,), rule.at)
+
+    def _states(self, machine: Machine, states: Iterable[str], at: Span) -> None:
+        for state in states:
+            if state not in machine.states:
+                self._missing(f"state of `{machine.name}`", state, machine.states, at)
+
+    # --- expressions: where they stand and what is expected there ---
+
+    def expressions(self) -> None:
+        """Check every expression of the Protocol."""
+        nowhere = Scope()
+        for parameter in self._protocol.parameters.values():
+            area = isinstance(parameter.type, Area)
+            if len(parameter.value) != 1 + area:
+                self._note(
+                    Code.ECS202,
+                    parameter.at,
+                    f"parameter `{parameter.name}` gets a value of another kind",
+                    "write area(start, length)" if area else "write one value",
+                )
+                continue
+            for value in parameter.value:
+                self._demand(value, nowhere, UInt(16) if area else parameter.type)
+        for register in self._protocol.registers.values():
+            for field in register.fields:
+                if field.shows is not None:
+                    self._demand(field.shows.value, nowhere, field.type)
+                    if field.shows.condition is not None:
+                        self._demand(field.shows.condition, nowhere, Bool())
+        for frame in self._protocol.frames.values():
+            self._frame_expressions(frame)
+        for machine in self._protocol.machines.values():
+            for variable in machine.variables:
+                self._demand(variable.initial, nowhere, variable.type)
+            for rule in machine.rules:
+                self._rule(machine, rule)
+            for gap in machine.gaps:
+                self._guard(machine, gap)
+
+    def _frame_expressions(self, frame: Frame) -> None:
+        inside = Scope(frame=frame.name)
+        if frame.parent is not None:
+            types = frame_fields(self._protocol, frame.parent)
+            for name, value in frame.conditions:
+                if name in types:
+                    self._demand(value, Scope(), types[name])
+        for field in frame.fields:
+            if isinstance(field.type, Bytes) and field.type.length is not None:
+                self._demand(field.type.length, inside, UInt(16))
+            if field.value is not None:
+                self._demand(field.value, inside, field.type)
+            if field.reply is not None:
+                self._demand(field.reply, inside, field.type)
+            if field.into is not None:
+                self._variable(field.into, Scope(), field.at)
+
+    def _variable(self, path: str, scope: Scope, at: Span) -> Kind | None:
+        """The kind of the variable that is to be set."""
+        own = self._protocol.machines.get(scope.machine or "")
+        if own is not None:
+            for variable in own.variables:
+                if variable.name == path:
+                    return variable.type
+        try:
+            ref = resolve(self._protocol, path, Scope()) if "." in path else None
+        except UnresolvedName:
+            ref = None
+        if isinstance(ref, VariableRef):
+            return kind_of_ref(self._protocol, ref, Scope())
+        known = [] if own is None else [variable.name for variable in own.variables]
+        self._note(
+            Code.ECS101,
+            at,
+            f"`{path}` is no variable that can be set",
+            f"declare it as a variable{_near(path, known, ', or write ')}",
+        )
+        return None
+
+    def _guard(self, machine: Machine, row: Rule | Gap) -> Scope:
+        scope = Scope(machine.name, row.input)
+        if row.guard is not None:
+            self._demand(row.guard, scope, Bool())
+        return scope
+
+    def _rule(self, machine: Machine, rule: Rule) -> None:
+        scope = self._guard(machine, rule)
+        for update in rule.updates:
+            self._demand(update.value, scope, self._variable(update.variable, scope, update.at))
+        for again, times in Counter(update.variable for update in rule.updates).items():
+            if times > 1:
+                what = f"rule `{machine.name}.{rule.name}` sets `{again}` twice"
+                self._note(Code.ECS102, rule.at, what, "take one of them away")
+        for store in rule.stores:
+            self._demand(store.index, scope, UInt(16))
+            self._demand(store.subindex, scope, UInt(8))
+            self._demand(store.value, scope, None)
+        for send in rule.sends:
+            self._send(send, scope)
+        for give in rule.gives:
+            if give.target == "deliver":
+                if (found := input_of(self._protocol, scope)) is None or found.kind == "event":
+                    self._note(
+                        Code.ECS202,
+                        give.at,
+                        "there is no frame that could be delivered",
+                        "deliver in rules on a write or a frame",
+                    )
+                continue
+            name, _, event = give.target.partition(".")
+            other = self._protocol.machines.get(name)
+            inputs = {} if other is None else {i.name: i for i in other.inputs if i.kind == "event"}
+            if event not in inputs:
+                self._missing("event", give.target, (f"{name}.{i}" for i in inputs), give.at)
+                continue
+            self._bindings(
+                give.arguments, dict(inputs[event].parameters), scope, give.target, give.at
+            )
+            for parameter, _ in inputs[event].parameters:
+                if parameter not in dict(give.arguments):
+                    what = f"`{give.target}` gets no `{parameter}`"
+                    self._note(Code.ECS203, give.at, what, f"write {parameter} = ...")
+        if rule.within is not None:
+            self._demand(rule.within, scope, Time())
+
+    def _send(self, send: Send, scope: Scope) -> None:
+        if send.frame not in self._protocol.frames:
+            self._missing("frame", send.frame, self._protocol.frames, send.at)
+            return
+        types = frame_fields(self._protocol, send.frame)
+        self._bindings(send.fields, types, scope, send.frame, send.at)
+
+    def _bindings(
+        self,
+        given: Iterable[tuple[str, Expression]],
+        types: Mapping[str, Type],
+        scope: Scope,
+        owner: str,
+        at: Span,
+    ) -> None:
+        for name, value in given:
+            if name not in types:
+                self._note(
+                    Code.ECS101,
+                    at,
+                    f"`{owner}` has no `{name}`",
+                    f"name one of its own{_near(name, types)}",
+                )
+            self._demand(value, scope, types.get(name))
+
+    # --- kinds of values ---
+
+    def _demand(self, value: Expression, scope: Scope, expected: Kind | None) -> None:
+        """The expression must give a value of this kind, whatever the kind if None."""
+        self._compatible(self._walk(value, scope, expected), expected, value.at)
+
+    def _compatible(self, found: Kind | None, expected: Kind | None, at: Span) -> bool:
+        if found is None or expected is None or _agree(found, expected):
+            return True
+        self._note(
+            Code.ECS202,
+            at,
+            f"{_word(found)} stands where {_word(expected)} is needed",
+            "compare and set values of one kind",
+        )
+        return False
+
+    def _walk(self, value: Expression, scope: Scope, expected: Kind | None) -> Kind | None:
+        """The kind of a value; everything inside it is checked."""
+        found: Kind | None = None
+        match value:
+            case Literal():
+                found = self._literal(value, value.value, expected)
+            case Name():
+                found = self._name(value, scope, expected)
+            case Unary("-", Literal() as literal):
+                found = self._literal(literal, -literal.value, expected)
+            case Unary(operator, operand):
+                found = Bool() if operator == "not" else _NUMBER
+                self._demand(operand, scope, found)
+            case Binary(operator, left, right) if operator in COMPARISONS:
+                self._compare(operator, left, right, scope)
+                found = Bool()
+            case Binary(operator, left, right):
+                found = Bool() if operator in {"and", "or"} else _NUMBER
+                self._demand(left, scope, found)
+                self._demand(right, scope, found)
+            case In(operand, items):
+                kind = self._walk(operand, scope, None)
+                self._items(items, scope, kind)
+                found = Bool()
+            case Conditional(condition, then, otherwise):
+                self._demand(condition, scope, Bool())
+                found = self._walk(then, scope, expected)
+                other = self._walk(otherwise, scope, expected)
+                self._compatible(other, found, otherwise.at)
+                found = found or other
+            case Call():
+                found = self._call(value, scope)
+            case OneOf(items, excluded):
+                self._items(items, scope, expected)
+                if excluded is not None:
+                    self._demand(excluded, scope, expected)
+            case AnyValue():
+                pass
+            case _:
+                assert_never(value)
+        return found
+
+    def _literal(self, literal: Literal, value: int, expected: Kind | None) -> Kind | None:
+        if isinstance(literal.value, bool):
+            return Bool()
+        if literal.digits == TIME_DIGITS:
+            return Time()
+        self._fits(value, expected, literal.at)
+        return _NUMBER
+
+    def _fits(self, value: int, expected: Kind | None, at: Span) -> None:
+        if expected is None or expected == _NUMBER or isinstance(expected, Bool):
+            return
+        bounds = bounds_of(self._protocol, expected)
+        if bounds is not None and not bounds[0] <= value <= bounds[1]:
+            self._note(
+                Code.ECS201,
+                at,
+                f"{value} does not fit {_word(expected)} ({bounds[0]}..{bounds[1]})",
+                "take a value that fits or a wider type",
+            )
+        elif (
+            isinstance(expected, Named)
+            and (table := self._protocol.tables.get(expected.table)) is not None
+            and table.closed
+            and value not in {row.value for row in table.rows}
+        ):
+            self._note(
+                Code.ECS201,
+                at,
+                f"the closed table `{table.name}` has no value {value:#x}",
+                "take one of its rows",
+            )
+
+    def _name(self, name: Name, scope: Scope, expected: Kind | None) -> Kind | None:
+        try:
+            ref = resolve(self._protocol, name.path, scope, expected)
+        except UnresolvedName as error:
+            self._unresolved(name, error, scope, expected)
+            return None
+        if isinstance(ref, DefinitionRef):
+            return self._walk(self._protocol.definitions[ref.name].value, scope, expected)
+        if isinstance(ref, ConstantRef) and not isinstance(expected, Named):
+            self._fits(ref.value, expected, name.at)
+        return kind_of_ref(self._protocol, ref, scope)
+
+    def _unresolved(
+        self, name: Name, error: UnresolvedName, scope: Scope, expected: Kind | None
+    ) -> None:
+        if error.candidates:
+            rows = " or ".join(f"`{candidate}`" for candidate in error.candidates)
+            what = f"`{name.path}` is a row of several tables"
+            self._note(Code.ECS107, name.at, what, f"write {rows}")
+            return
+        if isinstance(expected, Named) and expected.table not in self._protocol.tables:
+            return  # that the table is missing is the finding
+        known = known_names(self._protocol, scope, expected)
+        where = f" in rules on `{scope.input}`" if scope.input is not None else ""
+        self._note(
+            Code.ECS101,
+            name.at,
+            f"`{name.path}` means nothing{where}",
+            f"declare it{_near(name.path, known, ', or write ')}",
+        )
+
+    def _compare(self, operator: str, left: Expression, right: Expression, scope: Scope) -> None:
+        protocol = self._protocol
+        of_left = expectation(protocol, right, scope) or kind_of(protocol, right, scope)
+        of_right = expectation(protocol, left, scope) or kind_of(protocol, left, scope)
+        if isinstance(right, Name) and of_left is None:
+            of_left = kind_of(protocol, right, scope, of_right)
+        if isinstance(left, Name) and of_right is None:
+            of_right = kind_of(protocol, left, scope, of_left)
+        kind = self._walk(left, scope, of_left)
+        other = self._walk(right, scope, of_right)
+        if self._compatible(other, kind, right.at) and operator not in {"==", "!="}:
+            for side in (kind, other):
+                if side is not None and not isinstance(side, UInt | SInt | Named | Time):
+                    what = f"{_word(side)} has no order"
+                    self._note(Code.ECS202, left.at, what, "compare with == or !=")
+                    break
+
+    def _items(
+        self, items: Iterable[Expression | Range], scope: Scope, expected: Kind | None
+    ) -> None:
+        for item in items:
+            if not isinstance(item, Range):
+                self._demand(item, scope, expected)
+                continue
+            self._demand(item.low, scope, expected)
+            self._demand(item.high, scope, expected)
+            match item:
+                case Range(Literal(low), Literal(high)) if low > high:
+                    what = f"there is no number from {low} to {high}"
+                    self._note(Code.ECS201, item.at, what, "write the smaller one first")
+                case _:
+                    pass
+
+    def _call(self, call: Call, scope: Scope) -> Kind | None:
+        signature = FUNCTIONS.get(call.function)
+        if signature is None:
+            self._note(
+                Code.ECS101,
+                call.at,
+                f"there is no function `{call.function}`",
+                f"take one of scope.FUNCTIONS{_near(call.function, FUNCTIONS)}",
+            )
+            return None
+        wanted = ", ".join(_word(kind) for kind in signature.arguments)
+        remedy = f"write {call.function}({wanted})"
+        if len(call.arguments) != len(signature.arguments):
+            what = f"`{call.function}` gets {len(call.arguments)} arguments"
+            self._note(Code.ECS203, call.at, what, remedy)
+        for argument, kind in zip(call.arguments, signature.arguments, strict=False):
+            found = self._walk(argument, scope, kind)
+            if found is not None and not _agree(found, kind):
+                what = f"`{call.function}` gets {_word(found)} for {_word(kind)}"
+                self._note(Code.ECS203, argument.at, what, remedy)
+        return signature.result
+
+    # --- objects ---
+
+    def objects(self) -> None:
+        """The range, the default and the type of an object must agree, and its states exist."""
+        rows = {row.name for table in self._protocol.tables.values() for row in table.rows}
+        for entry in self._protocol.objects:
+            what = f"object {entry.index:#06x}:{entry.subindex} `{entry.name}`"
+            for state in entry.states:
+                if state not in rows:
+                    self._missing("state", state, rows, entry.at)
+            problem = self._problem(entry)
+            if problem is not None:
+                self._note(Code.ECS405, entry.at, f"{what}: {problem}", "correct the row")
+
+    def _problem(self, entry: ObjectEntry) -> str | None:
+        numbers = [n for n in (entry.low, entry.high, entry.default) if isinstance(n, int)]
+        if isinstance(entry.type, Text):
+            if numbers:
+                return "a text has no number"
+            if len(str(entry.default or "").encode()) > entry.type.maximum:
+                return f"the default is longer than {entry.type.maximum} bytes"
+            return None
+        bounds = bounds_of(self._protocol, entry.type)
+        if isinstance(entry.default, str) or bounds is None:
+            return "a number has no text"
+        if any(not bounds[0] <= number <= bounds[1] for number in numbers):
+            return f"a value is not in {bounds[0]}..{bounds[1]}, the numbers of its type"
+        low = bounds[0] if entry.low is None else entry.low
+        high = bounds[1] if entry.high is None else entry.high
+        if low > high:
+            return f"the range {low}..{high} is empty"
+        if isinstance(entry.default, int) and not low <= entry.default <= high:
+            return f"the default {entry.default} is not in the range {low}..{high}"
+        if entry.index >> 16 or entry.subindex >> 8:
+            return "index or subindex is too great"
+        if entry.access is Access.NONE:
+            return "nobody can read or write it"
+        return None
+
+
+_NUMBER: Final = UInt(64)
+
+
+def _agree(one: Kind, other: Kind) -> bool:
+    """Whether values of two kinds may meet: tables with themselves and with plain numbers."""
+    match one, other:
+        case (Named(), Named()) | (ChoiceRef(), ChoiceRef()):
+            return one == other
+        case (UInt() | SInt() | Named(), UInt() | SInt() | Named()):
+            return True
+        case (Bytes() | Text(), Bytes() | Text()):
+            return True
+        case _:
+            return type(one) is type(other)
+
+
+def _word(kind: Kind) -> str:
+    match kind:
+        case UInt(width):
+            return "a number" if kind == _NUMBER else f"u{width}"
+        case SInt(width):
+            return f"i{width}"
+        case Bool():
+            return "bool"
+        case Named(table):
+            return f"a value of `{table}`"
+        case Bytes():
+            return "bytes"
+        case Text():
+            return "a text"
+        case Area():
+            return "an area"
+        case Time():
+            return "a time"
+        case ChoiceRef(name):
+            return f"a way at `{name}`"
+        case _:
+            assert_never(kind)

@@ -1,0 +1,64 @@
+"""The only place for what can be wrong with a text: codes, sentences, how a finding prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ecatspec.spec.language.ir import Span
+
+
+class Code(Enum):
+    """All findings: 0 syntax, 1 names, 2 types, 3 meaning, 4 device text against standard."""
+
+    ECS001 = "a word or sign stands where the language does not expect it"
+    ECS002 = "the text ends in the middle of a declaration"
+    ECS003 = "the file is not a text in UTF-8"
+    ECS004 = "the file holds no declaration at all"
+
+    ECS101 = "a name means nothing here"
+    ECS102 = "something is declared twice"
+    ECS103 = "two rules of a machine have the same name"
+    ECS104 = "a clause is cited that no text declares"
+    ECS105 = "a rule, gap or device statement cites no clause"
+    ECS106 = "a state, input, frame, register, table or machine does not exist"
+    ECS107 = "a bare name stands for rows of several tables"
+
+    ECS201 = "a value or a field does not fit the bits it is given"
+    ECS202 = "values of different kinds meet"
+    ECS203 = "a function gets the wrong arguments"
+    ECS204 = "the fields of a frame do not fit together"
+
+    ECS301 = "two rules of a machine can fire for the same input"
+    ECS302 = "a rule can never fire"
+    ECS303 = "no rule ever goes to a state"
+
+    ECS401 = "a device text speaks of something that the standard does not have"
+    ECS402 = "a device text changes nothing"
+    ECS403 = "a closed table leaves a rule without a code"
+    ECS404 = "a clause of a device text names no claim"
+    ECS405 = "the values of an object contradict each other"
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """One finding: what is wrong at which place, and what to do about it."""
+
+    code: Code
+    at: Span
+    message: str
+    remedy: str
+
+    def __str__(self) -> str:
+        """Give the line that editors and people read."""
+        return f"{self.at}: {self.code.name} {self.message}; {self.remedy}"
+
+
+class SpecError(Exception):
+    """A text is wrong: all findings of the phase that found them."""
+
+    def __init__(self, diagnostics: tuple[Diagnostic, ...]) -> None:
+        self.diagnostics = diagnostics
+        super().__init__("\n".join(str(diagnostic) for diagnostic in diagnostics))

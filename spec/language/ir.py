@@ -1,0 +1,647 @@
+"""The only place for the shape of a specification: what a text says, as frozen data.
+
+Every node that comes from a text carries its place in `at`, which takes no part in comparison:
+two texts that say the same are equal wherever they say it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TypeAlias
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Span:
+    """A place in a text; lines and columns count from 1."""
+
+    file: str
+    line: int
+    column: int
+
+    def __str__(self) -> str:
+        """Give the place in the form that editors jump to."""
+        return f"{self.file}:{self.line}:{self.column}"
+
+
+NOWHERE = Span("<built in>", 0, 0)
+
+
+class Level(StrEnum):
+    """How strongly a clause demands: a breach of must fails, of should warns, may never blames."""
+
+    MUST = "must"
+    SHOULD = "should"
+    MAY = "may"
+
+
+class Access(StrEnum):
+    """Access right of one side to a register, or of the MainDevice to an object."""
+
+    NONE = "none"
+    READ = "ro"
+    WRITE = "wo"
+    BOTH = "rw"
+
+
+# --- types ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class UInt:
+    """Unsigned integer of `width` bits."""
+
+    width: int
+
+
+@dataclass(frozen=True, slots=True)
+class SInt:
+    """Signed integer of `width` bits, two's complement on the wire."""
+
+    width: int
+
+
+@dataclass(frozen=True, slots=True)
+class Bool:
+    """A truth value, one bit on the wire."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A value of the code table `table`, with that table's width."""
+
+    table: str
+
+
+@dataclass(frozen=True, slots=True)
+class Bytes:
+    """A byte string; `length` is an expression over earlier fields, None for all that is left."""
+
+    length: Expression | None
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A visible string of at most `maximum` bytes (objects only)."""
+
+    maximum: int
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A memory area: start address and length in bytes (parameters only)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Time:
+    """A duration in seconds (parameters only)."""
+
+
+Type: TypeAlias = UInt | SInt | Bool | Named | Bytes | Text | Area | Time
+
+
+# --- expressions ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Literal:
+    """A number or a truth value.
+
+    `digits` keeps how it was written: 0 decimal, n > 0 so many hex digits, -1 with a unit of time.
+    """
+
+    value: int | bool
+    digits: int = field(default=0, compare=False)
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """A dotted name; what it means depends on where it stands, see `scope`."""
+
+    path: str
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Unary:
+    """`not x` or `-x`."""
+
+    operator: str
+    operand: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Binary:
+    """Two operands: or and == != < <= > >= + - * / % & |."""
+
+    operator: str
+    left: Expression
+    right: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The numbers from `low` to `high`, both included."""
+
+    low: Expression
+    high: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class In:
+    """`x in { a, b, 1..7 }`."""
+
+    operand: Expression
+    items: tuple[Expression | Range, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Conditional:
+    """`if c then a else b`."""
+
+    condition: Expression
+    then: Expression
+    otherwise: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A built-in function of the object dictionary or of byte strings, see `scope.FUNCTIONS`."""
+
+    function: str
+    arguments: tuple[Expression, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """An acceptable set: `one of { a, b, 1..7 } except x`."""
+
+    items: tuple[Expression | Range, ...]
+    excluded: Expression | None = None
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class AnyValue:
+    """`any`: the texts do not specify the value; it is never compared."""
+
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+Expression: TypeAlias = Literal | Name | Unary | Binary | In | Conditional | Call | OneOf | AnyValue
+
+
+# --- declarations --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """One demand: id, level, wording (own words), source (document and section) and claims."""
+
+    id: str
+    level: Level
+    wording: str
+    source: str
+    claims: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Manual:
+    """The document that a device text is made from."""
+
+    file: str
+    edition: str
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class CodeRow:
+    """One row of a code table."""
+
+    value: int
+    name: str
+    wording: str
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class CodeTable:
+    """Named values of `width` bits; a closed table has no others."""
+
+    name: str
+    width: int
+    closed: bool
+    rows: tuple[CodeRow, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value that a device text may set with `parameter NAME = ...`.
+
+    `value` holds one expression; for an Area two (start, length). A Time is written as
+    `3 s`, `200 ms` and kept as a Literal of microseconds.
+    """
+
+    name: str
+    type: Type
+    value: tuple[Expression, ...]
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Shows:
+    """What a register field reads as: `value` while `condition` holds, unspecified otherwise."""
+
+    value: Expression
+    condition: Expression | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterField:
+    """Bits `low` to `high` of a register, both included."""
+
+    name: str
+    low: int
+    high: int
+    type: Type
+    shows: Shows | None = None
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """`size` bytes at `address`; `main` and `device` are the access rights of the two sides."""
+
+    name: str
+    address: int
+    size: int
+    main: Access
+    device: Access
+    reset: int
+    fields: tuple[RegisterField, ...]
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameField:
+    """One field of a frame, least significant bit first.
+
+    `value` is a constant (the decoder demands it, the encoder writes it), `reply` is what the
+    device sends when a rule does not say otherwise, `into` the variable that keeps what was seen.
+    """
+
+    name: str
+    type: Type
+    value: Expression | None = None
+    reply: Expression | None = None
+    into: str | None = None
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A layout. A frame `in` another lies in the parent's last field when `conditions` hold."""
+
+    name: str
+    parent: str | None
+    conditions: tuple[tuple[str, Expression], ...]
+    fields: tuple[FrameField, ...]
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable of a machine with its value after power-on."""
+
+    name: str
+    type: Type
+    initial: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """What a machine reacts to.
+
+    kind "write": the MainDevice wrote one of the registers `origin`, parameters are its fields;
+    kind "frame": a frame whose innermost layout is one of `origin` was delivered;
+    kind "event": another machine gives it, with `parameters`.
+    """
+
+    name: str
+    kind: str
+    origin: tuple[str, ...]
+    parameters: tuple[tuple[str, Type], ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """One way to go at a choice."""
+
+    name: str
+    wording: str
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A named freedom of the standard; unpinned, a device goes one way and stays with it."""
+
+    name: str
+    wording: str
+    alternatives: tuple[Alternative, ...]
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """A truth that only the device knows (it may change at any time); `assumed` by the model."""
+
+    name: str
+    wording: str
+    assumed: bool
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A named expression; it means what it would mean written out at its place of use."""
+
+    name: str
+    wording: str
+    value: Expression
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Update:
+    """`set variable = value`."""
+
+    variable: str
+    value: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """A frame that the device sends; fields that are not named follow the frame's own text."""
+
+    frame: str
+    fields: tuple[tuple[str, Expression], ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Give:
+    """An event for another machine (`machine.input`), or `deliver`: the frame itself goes on."""
+
+    target: str
+    arguments: tuple[tuple[str, Expression], ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """`store index : subindex = value`: an object takes a new value."""
+
+    index: Expression
+    subindex: Expression
+    value: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One row of a machine, paragraphs in fixed order."""
+
+    name: str
+    clauses: tuple[str, ...]
+    sources: tuple[str, ...]
+    input: str
+    guard: Expression | None
+    target: str | None
+    updates: tuple[Update, ...]
+    stores: tuple[Store, ...]
+    sends: tuple[Send, ...]
+    gives: tuple[Give, ...]
+    within: Expression | None
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A declared silence: for this input the texts say nothing (any behaviour is allowed)."""
+
+    name: str
+    clauses: tuple[str, ...]
+    sources: tuple[str, ...]
+    input: str
+    guard: Expression | None
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """An extended finite state machine; `states` are rows of the table `table`."""
+
+    name: str
+    wording: str
+    table: str
+    states: tuple[str, ...]
+    initial: str
+    variables: tuple[Variable, ...]
+    inputs: tuple[Input, ...]
+    rules: tuple[Rule, ...]
+    gaps: tuple[Gap, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectEntry:
+    """One entry of the object dictionary. `states`: AL states of access, empty for all."""
+
+    index: int
+    subindex: int
+    name: str
+    type: Type
+    access: Access
+    constant: bool = False
+    volatile: bool = False
+    states: tuple[str, ...] = ()
+    low: int | None = None
+    high: int | None = None
+    default: int | str | None = None
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Pin:
+    """A device text decides a choice."""
+
+    choice: str
+    alternative: str
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Close:
+    """A device text closes a code table: only these values (names or numbers) ever appear."""
+
+    table: str
+    values: tuple[Expression, ...]
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class SetParameter:
+    """A device text sets a parameter of the standard."""
+
+    name: str
+    value: tuple[Expression, ...]
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Replace:
+    """A device text changes one rule: paragraphs given replace those of the standard's rule."""
+
+    machine: str
+    rule: str
+    clauses: tuple[str, ...]
+    guard: Expression | None
+    target: str | None
+    updates: tuple[Update, ...]
+    sends: tuple[Send, ...]
+    within: Expression | None
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Remove:
+    """A device text takes a rule of the standard away."""
+
+    machine: str
+    rule: str
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Anomaly:
+    """A place where a manual contradicts itself or the standard."""
+
+    id: str
+    subject: str
+    printed: str
+    normative: str
+    treatment: str
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """A worked example of a manual: the bytes written to the mailbox and the bytes answered."""
+
+    name: str
+    request: bytes
+    response: bytes
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Dictionary:
+    """Whether objects that no text declares may exist (`open`) or not (`closed`)."""
+
+    closed: bool
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+Declaration: TypeAlias = (
+    Clause
+    | Manual
+    | CodeTable
+    | Parameter
+    | Register
+    | Frame
+    | Machine
+    | Choice
+    | Condition
+    | Definition
+    | ObjectEntry
+    | Pin
+    | Close
+    | SetParameter
+    | Replace
+    | Remove
+    | Anomaly
+    | Example
+    | Dictionary
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceText:
+    """One file as written: `extends` is None for a text of the standard.
+
+    `digest` is the SHA-256 of its characters.
+    """
+
+    name: str
+    wording: str
+    extends: str | None
+    declarations: tuple[Declaration, ...]
+    digest: str = field(default="", compare=False)
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """All texts of the standard, or of one device on top of them, checked and merged.
+
+    Order is the order of the texts. `replaced` keeps what a device text changed or took away.
+    """
+
+    name: str
+    wording: str
+    manuals: tuple[Manual, ...]
+    clauses: dict[str, Clause]
+    tables: dict[str, CodeTable]
+    parameters: dict[str, Parameter]
+    registers: dict[str, Register]
+    frames: dict[str, Frame]
+    machines: dict[str, Machine]
+    choices: dict[str, Choice]
+    conditions: dict[str, Condition]
+    definitions: dict[str, Definition]
+    pins: dict[str, Pin]
+    closed: dict[str, Close]
+    objects: tuple[ObjectEntry, ...]
+    dictionary: Dictionary
+    anomalies: tuple[Anomaly, ...]
+    examples: tuple[Example, ...]
+    replaced: tuple[Replace | Remove, ...]
+    digest: str

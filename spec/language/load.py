@@ -1,0 +1,118 @@
+"""The only place for putting texts together: shipped texts, device texts on top, one Protocol."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from dataclasses import replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ecatspec.spec.language.check import check_protocol, check_texts
+from ecatspec.spec.language.diagnostics import SpecError
+from ecatspec.spec.language.merge import merge_device, merge_standard
+from ecatspec.spec.language.overlap import STANDARD
+from ecatspec.spec.language.parse import decode, parse_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from importlib.resources.abc import Traversable
+
+    from ecatspec.spec.language.diagnostics import Diagnostic
+    from ecatspec.spec.language.ir import Protocol, SourceText
+
+
+class UnknownDevice(LookupError):  # noqa: N818
+    """No text of that name is shipped."""
+
+    def __init__(self, name: str) -> None:
+        known = (STANDARD, *device_names())
+        near = difflib.get_close_matches(name, known, 1, 0.4)
+        hint = f"did you mean `{near[0]}`?" if near else f"there are {', '.join(known)}"
+        super().__init__(f"no device text is called `{name}`; {hint}")
+
+
+def device_names() -> tuple[str, ...]:
+    """All devices that texts are shipped for, in alphabetical order."""
+    return tuple(sorted(file.name.removesuffix(".ecs") for file in _files("devices")))
+
+
+@cache
+def load_standard() -> Protocol:
+    """The standard as shipped; its checks are a matter of tests, not of every start."""
+    return _together(_standard_texts(), STANDARD)
+
+
+@cache
+def load_device(name: str) -> Protocol:
+    """The standard as the device `name` keeps it; the name `standard` gives the standard itself."""
+    if name == STANDARD:
+        return load_standard()
+    for file in _files("devices"):
+        if file.name == f"{name}.ecs":
+            return _together((*_standard_texts(), _shipped("devices", file.name)), name)
+    raise UnknownDevice(name)
+
+
+def load_file(path: str | Path) -> Protocol:
+    """A text of one's own: a device on the shipped standard, or in the place of a shipped text."""
+    text = parse_text(decode(Path(path).read_bytes(), str(path)), str(path))
+    shipped = _standard_texts()
+    if text.extends is not None:
+        return compile_texts((*shipped, text), text.name)
+    names = [other.name for other in shipped]
+    if text.name not in names:
+        return compile_texts((*shipped, text), STANDARD)
+    return compile_texts([text if o.name == text.name else o for o in shipped], STANDARD)
+
+
+def compile_texts(texts: Sequence[SourceText], name: str | None = None) -> Protocol:
+    """One Protocol of all standard texts and the device text `name`, or all that is wrong.
+
+    Without a name the only device text is taken, if there is one.
+    """
+    chosen = _chosen(texts, name)
+    _raise(check_texts(chosen))
+    protocol = _together(chosen, name)
+    _raise(check_protocol(protocol))
+    return protocol
+
+
+def _chosen(texts: Sequence[SourceText], name: str | None) -> list[SourceText]:
+    return [text for text in texts if text.extends is None or name in {None, text.name}]
+
+
+def _together(texts: Sequence[SourceText], name: str | None) -> Protocol:
+    chosen = _chosen(texts, name)
+    standard = [text for text in chosen if text.extends is None]
+    protocol = merge_standard(standard)
+    for device in (text for text in chosen if text.extends is not None):
+        protocol, findings = merge_device(protocol, device)
+        _raise(findings)
+    digest = hashlib.sha256("".join(text.digest for text in chosen).encode()).hexdigest()
+    return replace(protocol, digest=digest)
+
+
+def _raise(findings: Sequence[Diagnostic]) -> None:
+    if findings:
+        raise SpecError(tuple(sorted(findings, key=lambda found: (found.at, found.code.name))))
+
+
+def _files(folder: str) -> list[Traversable]:
+    place = resources.files("ecatspec.spec").joinpath(folder)
+    if not place.is_dir():
+        return []
+    return sorted((f for f in place.iterdir() if f.name.endswith(".ecs")), key=lambda f: f.name)
+
+
+@cache
+def _shipped(folder: str, name: str) -> SourceText:
+    raw = resources.files("ecatspec.spec").joinpath(folder, name).read_bytes()
+    file = f"spec/{folder}/{name}"
+    return parse_text(decode(raw, file), file)
+
+
+def _standard_texts() -> tuple[SourceText, ...]:
+    return tuple(_shipped("standard", file.name) for file in _files("standard"))

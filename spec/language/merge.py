@@ -1,0 +1,472 @@
+"""The only place for what a device text does to the standard: pin, set, close, replace, remove."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, TypeVar
+
+from ecatspec.spec.language.diagnostics import Code, Diagnostic
+from ecatspec.spec.language.ir import (
+    NOWHERE,
+    Anomaly,
+    Choice,
+    Clause,
+    Close,
+    CodeTable,
+    Condition,
+    Conditional,
+    Definition,
+    Dictionary,
+    Example,
+    Frame,
+    Literal,
+    Machine,
+    Manual,
+    Name,
+    Named,
+    ObjectEntry,
+    OneOf,
+    Parameter,
+    Pin,
+    Protocol,
+    Range,
+    Register,
+    Remove,
+    Replace,
+    SetParameter,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from ecatspec.spec.language.ir import (
+        Declaration,
+        Expression,
+        Rule,
+        SourceText,
+        Span,
+        Type,
+        Update,
+    )
+
+def merge_standard(texts: Sequence[SourceText]) -> Protocol:
+    """All declarations of the standard's texts, in the order of the texts."""
+    declared = [declaration for text in texts for declaration in text.declarations]
+    wording = texts[0].wording if len(texts) == 1 else "the standard"
+    dictionaries = _of(declared, Dictionary)
+    return Protocol(
+        name="standard",
+        wording=wording,
+        manuals=_of(declared, Manual),
+        clauses={clause.id: clause for clause in _of(declared, Clause)},
+        tables=_named(_of(declared, CodeTable)),
+        parameters=_named(_of(declared, Parameter)),
+        registers=_named(_of(declared, Register)),
+        frames=_named(_of(declared, Frame)),
+        machines=_named(_of(declared, Machine)),
+        choices=_named(_of(declared, Choice)),
+        conditions=_named(_of(declared, Condition)),
+        definitions=_named(_of(declared, Definition)),
+        pins={},
+        closed={},
+        objects=_of(declared, ObjectEntry),
+        dictionary=dictionaries[-1] if dictionaries else Dictionary(closed=False, clauses=()),
+        anomalies=_of(declared, Anomaly),
+        examples=_of(declared, Example),
+        replaced=(),
+        digest="",
+    )
+
+
+def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[Diagnostic]]:
+    """The standard as one device keeps it, and the findings of 4xx."""
+    own = merge_standard((text,))
+    merge = _Merge(standard, own)
+    for declaration in text.declarations:
+        merge.take(declaration)
+    for close in own_closes(text):
+        merge.close(close)
+    merge.unclaimed(own.clauses.values())
+    changed = tuple(d for d in text.declarations if isinstance(d, (Replace, Remove)))
+    protocol = Protocol(
+        name=text.name,
+        wording=text.wording,
+        manuals=standard.manuals + own.manuals,
+        clauses=standard.clauses | own.clauses,
+        tables=merge.tables,
+        parameters=merge.parameters,
+        registers=standard.registers | own.registers,
+        frames=standard.frames | own.frames,
+        machines=merge.machines,
+        choices=merge.choices,
+        conditions=standard.conditions | own.conditions,
+        definitions=standard.definitions | own.definitions,
+        pins=merge.pins,
+        closed=merge.closed,
+        objects=_objects(standard.objects, own.objects),
+        dictionary=own.dictionary if own.dictionary.at != NOWHERE else standard.dictionary,
+        anomalies=standard.anomalies + own.anomalies,
+        examples=standard.examples + own.examples,
+        replaced=standard.replaced + changed,
+        digest="",
+    )
+    return protocol, merge.findings
+
+
+def own_closes(text: SourceText) -> tuple[Close, ...]:
+    """The tables that a device text closes."""
+    return _of(text.declarations, Close)
+
+
+_T = TypeVar("_T")
+
+
+def _of(declared: Iterable[Declaration], kind: type[_T]) -> tuple[_T, ...]:
+    return tuple(declaration for declaration in declared if isinstance(declaration, kind))
+
+
+_N = TypeVar("_N", CodeTable, Parameter, Register, Frame, Machine, Choice, Condition, Definition)
+
+
+def _named(declared: Iterable[_N]) -> dict[str, _N]:
+    return {declaration.name: declaration for declaration in declared}
+
+
+def _objects(
+    standard: tuple[ObjectEntry, ...], own: tuple[ObjectEntry, ...]
+) -> tuple[ObjectEntry, ...]:
+    merged = {(entry.index, entry.subindex): entry for entry in standard}
+    merged |= {(entry.index, entry.subindex): entry for entry in own}
+    return tuple(merged.values())
+
+
+class _Merge:
+    """The parts of the standard that a device text changes, and what was wrong with it."""
+
+    def __init__(self, standard: Protocol, own: Protocol) -> None:
+        self.findings: list[Diagnostic] = []
+        self.tables = dict(standard.tables)
+        for name, table in own.tables.items():
+            self.tables[name] = _with_rows(self.tables.get(name), table)
+        self.parameters = standard.parameters | own.parameters
+        self.machines = standard.machines | own.machines
+        self.choices = standard.choices | own.choices
+        self.frames = standard.frames | own.frames
+        self.pins = dict(standard.pins)
+        self.closed = dict(standard.closed)
+
+    def take(self, declaration: Declaration) -> None:
+        """Do what one statement says; a Close waits until all rules are what they will be."""
+        match declaration:
+            case Pin():
+                self._pin(declaration)
+            case SetParameter():
+                self._set(declaration)
+            case Replace():
+                self._replace(declaration)
+            case Remove():
+                self._remove(declaration)
+            case _:
+                pass
+
+    def unclaimed(self, clauses: Iterable[Clause]) -> None:
+        """A device is judged by what its manual says: each clause must name a claim."""
+        for clause in clauses:
+            if not clause.claims:
+                self._find(
+                    Code.ECS404,
+                    clause.at,
+                    f"clause {clause.id} names no claim of the manual",
+                    "add `claims [...]`",
+                )
+
+    def _find(self, code: Code, at: Span, message: str, remedy: str) -> None:
+        self.findings.append(Diagnostic(code, at, message, remedy))
+
+    def _pin(self, pin: Pin) -> None:
+        choice = self.choices.get(pin.choice)
+        if choice is None:
+            self._find(
+                Code.ECS401,
+                pin.at,
+                f"there is no choice `{pin.choice}`",
+                f"pin one of {_list(self.choices)}",
+            )
+            return
+        names = [alternative.name for alternative in choice.alternatives]
+        if pin.alternative not in names:
+            self._find(
+                Code.ECS401,
+                pin.at,
+                f"choice `{pin.choice}` has no alternative `{pin.alternative}`",
+                f"take one of {_list(names)}",
+            )
+        self.pins[pin.choice] = pin
+
+    def _set(self, setting: SetParameter) -> None:
+        parameter = self.parameters.get(setting.name)
+        if parameter is None:
+            self._find(
+                Code.ECS401,
+                setting.at,
+                f"there is no parameter `{setting.name}`",
+                f"set one of {_list(self.parameters)}",
+            )
+            return
+        if parameter.value == setting.value:
+            self._find(
+                Code.ECS402,
+                setting.at,
+                f"parameter `{setting.name}` has this value already",
+                "take the line away or give another value",
+            )
+        self.parameters[setting.name] = replace(
+            parameter, value=setting.value, clauses=setting.clauses + parameter.clauses
+        )
+
+    def _rule(self, statement: Replace | Remove) -> tuple[Machine, Rule] | None:
+        machine = self.machines.get(statement.machine)
+        if machine is None:
+            self._find(
+                Code.ECS401,
+                statement.at,
+                f"there is no machine `{statement.machine}`",
+                f"name one of {_list(self.machines)}",
+            )
+            return None
+        rules = {rule.name: rule for rule in machine.rules}
+        if statement.rule not in rules:
+            self._find(
+                Code.ECS401,
+                statement.at,
+                f"machine `{statement.machine}` has no rule `{statement.rule}`",
+                "name a rule that `ecatspec show` lists",
+            )
+            return None
+        return machine, rules[statement.rule]
+
+    def _replace(self, statement: Replace) -> None:
+        found = self._rule(statement)
+        if found is None:
+            return
+        machine, old = found
+        new = replace(
+            old,
+            guard=old.guard if statement.guard is None else statement.guard,
+            target=old.target if statement.target is None else statement.target,
+            updates=_updated(old.updates, statement.updates),
+            sends=statement.sends or old.sends,
+            within=old.within if statement.within is None else statement.within,
+        )
+        if new == old:
+            self._find(
+                Code.ECS402,
+                statement.at,
+                f"rule `{machine.name}.{old.name}` says exactly this already",
+                "take the statement away or write what is different",
+            )
+        new = replace(new, clauses=_joined(statement.clauses, old.clauses))
+        rules = tuple(new if rule is old else rule for rule in machine.rules)
+        self.machines[machine.name] = replace(machine, rules=rules)
+
+    def _remove(self, statement: Remove) -> None:
+        found = self._rule(statement)
+        if found is not None:
+            machine, old = found
+            rules = tuple(rule for rule in machine.rules if rule is not old)
+            self.machines[machine.name] = replace(machine, rules=rules)
+
+    # --- closed tables ---
+
+    def close(self, close: Close) -> None:
+        """Close a table: other values vanish from the table and from what rules may set or send."""
+        table = self.tables.get(close.table)
+        if table is None:
+            self._find(
+                Code.ECS401,
+                close.at,
+                f"there is no table `{close.table}`",
+                f"close one of {_list(self.tables)}",
+            )
+            return
+        names = {row.name: row.value for row in table.rows}
+        kept: dict[int, None] = {}
+        for item in close.values:
+            value = _constant(item, names, table.name)
+            if value is None or value not in names.values():
+                self._find(
+                    Code.ECS401,
+                    item.at,
+                    f"table `{table.name}` has no row for this value",
+                    f"add a row in a `table {table.name}` of the device text",
+                )
+            else:
+                kept[value] = None
+        rows = tuple(row for row in table.rows if row.value in kept)
+        if table.closed and len(rows) == len(table.rows):
+            self._find(
+                Code.ECS402,
+                close.at,
+                f"table `{table.name}` is closed with these values already",
+                "take the line away",
+            )
+        self.closed[close.table] = close
+        self.tables[close.table] = replace(table, closed=True, rows=rows)
+        narrow = _Narrow(table, tuple(kept))
+        for machine in self.machines.values():
+            rules = tuple(self._narrowed(machine, rule, narrow, close) for rule in machine.rules)
+            self.machines[machine.name] = replace(machine, rules=rules)
+
+    def _narrowed(self, machine: Machine, rule: Rule, narrow: _Narrow, close: Close) -> Rule:
+        variables: dict[str, Type] = {
+            f"{other.name}.{variable.name}": variable.type
+            for other in self.machines.values()
+            for variable in other.variables
+        }
+        variables |= {variable.name: variable.type for variable in machine.variables}
+        narrow.lost.clear()
+        updates = tuple(
+            replace(update, value=narrow.value(variables.get(update.variable), update.value))
+            for update in rule.updates
+        )
+        sends = tuple(
+            replace(send, fields=narrow.fields(self._field_types(send.frame), send.fields))
+            for send in rule.sends
+        )
+        gives = tuple(
+            replace(give, arguments=narrow.fields(self._event_types(give.target), give.arguments))
+            for give in rule.gives
+        )
+        for value in narrow.lost:
+            self._find(
+                Code.ECS403,
+                close.at,
+                f"rule `{machine.name}.{rule.name}` ({rule.at}) is left without a code of"
+                f" `{close.table}`: it has {narrow.wording(value)}",
+                "replace or remove the rule, or keep its code",
+            )
+        new = replace(rule, updates=updates, sends=sends, gives=gives)
+        if new == rule:
+            return rule
+        return replace(new, clauses=_joined(rule.clauses, close.clauses))
+
+    def _field_types(self, name: str) -> dict[str, Type]:
+        types: dict[str, Type] = {}
+        place: str | None = name
+        seen: set[str] = set()
+        while place is not None and place in self.frames and place not in seen:
+            seen.add(place)
+            frame = self.frames[place]
+            types = {field.name: field.type for field in frame.fields} | types
+            place = frame.parent
+        return types
+
+    def _event_types(self, target: str) -> dict[str, Type]:
+        name, _, event = target.partition(".")
+        machine = self.machines.get(name)
+        inputs = () if machine is None else machine.inputs
+        return {p: t for i in inputs if i.name == event for p, t in i.parameters}
+
+
+class _Narrow:
+    """Takes values that a closed table no longer has out of expressions."""
+
+    def __init__(self, table: CodeTable, kept: tuple[int, ...]) -> None:
+        self._table = table
+        self._names = {row.name: row.value for row in table.rows}
+        self._kept = kept
+        self.lost: list[Expression] = []
+
+    def fields(
+        self, types: Mapping[str, Type], given: tuple[tuple[str, Expression], ...]
+    ) -> tuple[tuple[str, Expression], ...]:
+        return tuple((name, self.value(types.get(name), value)) for name, value in given)
+
+    def value(self, kind: Type | None, value: Expression) -> Expression:
+        """The value with what is left of it; what has nothing left is noted in `lost`."""
+        if kind != Named(self._table.name):
+            return value
+        match value:
+            case Conditional():
+                return replace(
+                    value,
+                    then=self.value(kind, value.then),
+                    otherwise=self.value(kind, value.otherwise),
+                )
+            case OneOf():
+                items = tuple(item for old in value.items for item in self._item(old))
+                barred = value.excluded and _constant(
+                    value.excluded, self._names, self._table.name
+                )
+                left = [self._constant(item) for item in items]
+                if not items or (barred is not None and left == [barred]):
+                    self.lost.append(value)
+                return replace(value, items=items or value.items)
+            case Literal() | Name():
+                number = self._constant(value)
+                if number is not None and number not in self._kept:
+                    self.lost.append(value)
+                return value
+            case _:
+                return value
+
+    def wording(self, value: Expression) -> str:
+        """The codes that a rule had, for the finding."""
+        items = value.items if isinstance(value, OneOf) else (value,)
+        words = [
+            f"{i.low.value:#06x}..{i.high.value:#06x}"
+            if isinstance(i, Range) and isinstance(i.low, Literal) and isinstance(i.high, Literal)
+            else f"`{i.path}`"
+            if isinstance(i, Name)
+            else f"{i.value:#06x}"
+            if isinstance(i, Literal)
+            else "..."
+            for i in items
+        ]
+        return ", ".join(words)
+
+    def _constant(self, value: Expression | Range) -> int | None:
+        return None if isinstance(value, Range) else _constant(value, self._names, self._table.name)
+
+    def _item(self, item: Expression | Range) -> tuple[Expression | Range, ...]:
+        if isinstance(item, Range):
+            low, high = self._constant(item.low), self._constant(item.high)
+            if low is None or high is None:
+                return (item,)
+            digits = (self._table.width + 3) // 4
+            inside = (value for value in self._kept if low <= value <= high)
+            return tuple(Literal(value, digits, item.at) for value in inside)
+        number = self._constant(item)
+        return () if number is not None and number not in self._kept else (item,)
+
+
+def _constant(value: Expression, names: Mapping[str, int], table: str) -> int | None:
+    """The number that a literal or a row name of the table stands for."""
+    match value:
+        case Literal():
+            return int(value.value)
+        case Name():
+            return names.get(value.path.removeprefix(f"{table}."))
+        case _:
+            return None
+
+
+def _with_rows(old: CodeTable | None, new: CodeTable) -> CodeTable:
+    """A table of a device text adds its rows to the standard's; same values are replaced."""
+    if old is None:
+        return new
+    rows = {row.value: row for row in old.rows} | {row.value: row for row in new.rows}
+    return replace(old, rows=tuple(rows.values()))
+
+
+def _updated(old: tuple[Update, ...], new: tuple[Update, ...]) -> tuple[Update, ...]:
+    updates = {update.variable: update for update in old}
+    return tuple((updates | {update.variable: update for update in new}).values())
+
+
+def _joined(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(first + second))
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names) or "nothing"

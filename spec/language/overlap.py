@@ -1,0 +1,550 @@
+"""The only place for what the rules of one machine mean together: overlap, dead rules and states.
+
+Everything that a guard reads is a dimension with a few sample values: both truths, all ways at a
+choice, the numbers that it is compared with and their neighbours. Two guards overlap if some
+combination of samples makes both true. That is a search, not a proof: what it finds is real, what
+it misses a solver finds.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+
+from ecatspec.spec.language.diagnostics import Code, Diagnostic
+from ecatspec.spec.language.ir import (
+    AnyValue,
+    Binary,
+    Bool,
+    Call,
+    Conditional,
+    Gap,
+    In,
+    Literal,
+    Name,
+    Named,
+    OneOf,
+    Range,
+    Replace,
+    Rule,
+    Unary,
+)
+from ecatspec.spec.language.scope import (
+    COMPARISONS,
+    EXCLUSIVE,
+    FUNCTIONS,
+    IMPLIES,
+    AlternativeRef,
+    ChoiceRef,
+    ConditionRef,
+    ConstantRef,
+    DefinitionRef,
+    Kind,
+    ParameterOfInput,
+    ParameterRef,
+    Ref,
+    RegisterFieldRef,
+    Scope,
+    StateRef,
+    VariableRef,
+    bounds_of,
+    expectation,
+    kind_of_ref,
+    resolve,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from ecatspec.spec.language.ir import Expression, Machine, Protocol, Span
+
+STANDARD: Final = "standard"
+"""The name of the Protocol that belongs to no device."""
+
+BUDGET: Final = 20_000
+"""How many partial combinations are looked at before a pair of rules is given up."""
+
+_Value: TypeAlias = int | str
+_Dimension: TypeAlias = Ref | Call | Binary
+_Environment: TypeAlias = "dict[_Dimension, _Value]"
+_Row: TypeAlias = Rule | Gap
+
+
+def meaning(protocol: Protocol) -> list[Diagnostic]:
+    """The findings of 3xx."""
+    findings: list[Diagnostic] = []
+    for machine in protocol.machines.values():
+        findings.extend(_overlaps(protocol, machine))
+        findings.extend(_dead_rules(protocol, machine))
+        findings.extend(_unreachable(protocol, machine))
+    return findings
+
+
+def _changed(protocol: Protocol, machine: Machine) -> dict[str, Span]:
+    """The rules of a machine that a device text changed, and where it did."""
+    return {c.rule: c.at for c in protocol.replaced if c.machine == machine.name}
+
+
+def _overlaps(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
+    changed = _changed(protocol, machine)
+    rows: tuple[_Row, ...] = (*machine.rules, *machine.gaps)
+    guards = {row.name: _Guard(protocol, machine, row, pinned=True) for row in rows}
+    pairs: Iterator[tuple[_Row, _Row]] = itertools.combinations(rows, 2)
+    for one, other in pairs:
+        if isinstance(one, Gap) or one.input != other.input:
+            continue
+        common = [source for source in one.sources if source in other.sources]
+        if not common:
+            continue
+        example = _both(guards[one.name], guards[other.name])
+        if example is not None:
+            first, second = (one, other) if one.at <= other.at else (other, one)
+            kind = "gap" if isinstance(second, Gap) else "rule"
+            yield Diagnostic(
+                Code.ECS301,
+                changed.get(first.name) or changed.get(second.name) or second.at,
+                f"{kind} `{machine.name}.{second.name}` and `{first.name}` both fire in"
+                f" {common[0]} on `{one.input}`{_wording(example)}",
+                "make their guards exclude each other",
+            )
+
+
+def _dead_rules(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
+    """Rules that never fire; in a device text only what it replaces, since it may silence rules."""
+    replaced = {c.rule for c in protocol.replaced if isinstance(c, Replace)}
+    rows: tuple[_Row, ...] = (*machine.rules, *machine.gaps)
+    for rule in rows:
+        if protocol.name != STANDARD and rule.name not in replaced:
+            continue
+        guard = _Guard(protocol, machine, rule, pinned=False)
+        if not guard.calculates and guard.never():
+            yield Diagnostic(
+                Code.ECS302,
+                _changed(protocol, machine).get(rule.name, rule.at),
+                f"`{machine.name}.{rule.name}` can never fire",
+                "correct its guard or take it away",
+            )
+
+
+def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
+    if _changed(protocol, machine):
+        return
+    reached = {machine.initial}
+    while True:
+        more = {
+            rule.target
+            for rule in machine.rules
+            if rule.target is not None and reached.intersection(rule.sources)
+        }
+        if more <= reached:
+            break
+        reached |= more
+    for state in machine.states:
+        if state not in reached:
+            yield Diagnostic(
+                Code.ECS303,
+                machine.at,
+                f"no rule leads `{machine.name}` from {machine.initial} to {state}",
+                "add a rule that goes there, or take the state away",
+            )
+
+
+# --- search --------------------------------------------------------------------------------------
+
+
+def _both(one: _Guard, other: _Guard) -> _Environment | None:
+    """Sample values that make both guards true."""
+    samples = {d: one.samples.get(d, set()) | other.samples.get(d, set()) for d in
+               {**one.samples, **other.samples}}  # fmt: skip
+    samples = _shared(samples, one.pairs | other.pairs)
+    return _search([one.test, other.test], samples)
+
+
+def _shared(
+    samples: dict[_Dimension, set[_Value]], pairs: set[tuple[_Dimension, _Dimension]]
+) -> dict[_Dimension, set[_Value]]:
+    """Dimensions that are compared with each other get each other's samples."""
+    for _ in range(2):
+        for one, other in pairs:
+            if one in samples and other in samples:
+                together = samples[one] | samples[other]
+                samples = samples | {one: together, other: together}
+    return samples
+
+
+def _search(
+    tests: list[Callable[[_Environment], _Value | None]], samples: dict[_Dimension, set[_Value]]
+) -> _Environment | None:
+    """Depth first, with a cut where a guard is false whatever the rest will be."""
+    order = list(samples)
+    values = [sorted(samples[dimension], key=_order) for dimension in order]
+    budget = BUDGET
+    environment: _Environment = {}
+    iterators: list[Iterator[_Value]] = []
+
+    def state() -> bool | None:
+        results = [test(environment) for test in tests]
+        if any(result is not None and not result for result in results):
+            return False
+        if not _possible(environment):
+            return False
+        return True if all(results) else None
+
+    now = state()
+    if now is not None:
+        return dict(environment) if now else None
+    iterators.append(iter(values[0])) if values else None
+    while iterators:
+        depth = len(iterators) - 1
+        value = next(iterators[-1], None)
+        if value is None:
+            iterators.pop()
+            environment.pop(order[depth], None)
+            continue
+        environment[order[depth]] = value
+        budget -= 1
+        if not budget:
+            return None
+        now = state()
+        if now:
+            return dict(environment)
+        if now is None and depth + 1 < len(order):
+            iterators.append(iter(values[depth + 1]))
+    return None
+
+
+def _order(value: _Value) -> tuple[bool, int, str]:
+    return (isinstance(value, str), value if isinstance(value, int) else 0, str(value))
+
+
+def _possible(environment: _Environment) -> bool:
+    """Whether the answers of the functions of the object dictionary agree with each other."""
+    held = {
+        (d.function, d.arguments): bool(value)
+        for d, value in environment.items()
+        if isinstance(d, Call)
+    }
+    if not held:
+        return True
+    for first, second in IMPLIES:
+        few = len(FUNCTIONS[second].arguments)
+        for (function, arguments), holds in held.items():
+            if function == first and holds and held.get((second, arguments[:few])) is False:
+                return False
+    for group in EXCLUSIVE:
+        true = [arguments for (function, arguments), holds in held.items()
+                if function in group and holds]  # fmt: skip
+        if len(true) != len(set(true)):
+            return False
+    return True
+
+
+def _wording(example: _Environment) -> str:
+    words = [f"{_name(dimension)} = {value}" for dimension, value in example.items()]
+    return f", for instance with {', '.join(words)}" if words else ""
+
+
+def _name(dimension: _Dimension) -> str:
+    match dimension:
+        case VariableRef(machine, name):
+            return f"{machine}.{name}"
+        case StateRef(machine):
+            return f"{machine}.state"
+        case RegisterFieldRef(register, field):
+            return f"{register}.{field}"
+        case Call(function, _):
+            return f"{function}(...)"
+        case Binary(operator, _, _):
+            return f"... {operator} ..."
+        case AlternativeRef(_, name) | ConditionRef(name) | ChoiceRef(name) | DefinitionRef(name):
+            return name
+        case ParameterOfInput(name):
+            return name
+        case ParameterRef(name, part):
+            return name if part is None else f"{name}.{part}"
+        case ConstantRef(value, table):
+            return f"{table} {value}"
+        case _:
+            assert_never(dimension)
+
+
+# --- guards --------------------------------------------------------------------------------------
+
+_Test: TypeAlias = "Callable[[_Environment], _Value | None]"
+_ARITHMETIC: Final = frozenset({"+", "-", "*", "/", "%", "&", "|"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Operand:
+    """A part of a guard: how it is evaluated, which dimension it is, its constant value."""
+
+    test: _Test
+    dimension: _Dimension | None = None
+    constant: _Value | None = None
+
+
+class _Guard:
+    """A guard made ready for the search: a three-valued test and the samples of its dimensions."""
+
+    def __init__(self, protocol: Protocol, machine: Machine, row: _Row, *, pinned: bool) -> None:
+        self._protocol = protocol
+        self._scope = Scope(machine.name, row.input)
+        self._pinned = pinned
+        self.samples: dict[_Dimension, set[_Value]] = {}
+        self.pairs: set[tuple[_Dimension, _Dimension]] = set()
+        self._constants: set[int] = set()
+        self._numeric: set[_Dimension] = set()
+        self.calculates = False
+        self.test: _Test = _constantly(value=True)
+        if row.guard is not None:
+            self.test = self._build(row.guard, Bool()).test
+        if self.calculates:
+            for dimension in self._numeric:
+                self._near(dimension, self._constants)
+
+    def never(self) -> bool:
+        """No combination of samples makes the guard true, and all of them were looked at."""
+        total = 1
+        for values in self.samples.values():
+            total *= len(values)
+        if total > BUDGET:
+            return False
+        return _search([self.test], _shared(self.samples, self.pairs)) is None
+
+    # --- expressions ---
+
+    def _build(self, value: Expression, expected: Kind | None) -> _Operand:
+        match value:
+            case Literal():
+                return self._fixed(int(value.value))
+            case Name(path):
+                return self._of_ref(resolve(self._protocol, path, self._scope, expected), expected)
+            case Unary("not", operand):
+                test = self._build(operand, Bool()).test
+                return _Operand(lambda e: None if (x := test(e)) is None else not x)
+            case Unary(_, operand):
+                inner = self._build(operand, None)
+                if isinstance(inner.constant, int):
+                    return self._fixed(-inner.constant)
+                test = inner.test
+                return _Operand(lambda e: -x if isinstance(x := test(e), int) else None)
+            case Binary("and", left, right):
+                first, second = self._build(left, Bool()), self._build(right, Bool())
+                return _Operand(_and(first.test, second.test))
+            case Binary("or", left, right):
+                first, second = self._build(left, Bool()), self._build(right, Bool())
+                return _Operand(_or(first.test, second.test))
+            case Binary(operator, left, right) if operator in COMPARISONS:
+                return self._comparison(value)
+            case Binary(operator, left, right):
+                self.calculates = True
+                one, other = self._build(left, None), self._build(right, None)
+                if isinstance(one.constant, int) and isinstance(other.constant, int):
+                    result = _arithmetic(operator, one.constant, other.constant)
+                    return self._fixed(0 if result is None else result)
+                return _Operand(_numbers(operator, one.test, other.test))
+            case In(operand, items):
+                return self._membership(operand, items)
+            case Conditional(condition, then, otherwise):
+                return self._conditional(condition, then, otherwise, expected)
+            case Call():
+                return self._dimension(value, FUNCTIONS[value.function].result)
+            case OneOf() | AnyValue():
+                return _Operand(lambda _: None)
+            case _:
+                assert_never(value)
+
+    def _fixed(self, value: _Value) -> _Operand:
+        if isinstance(value, int):
+            self._constants.add(value)
+        return _Operand(_constantly(value=value), None, value)
+
+    def _conditional(
+        self, condition: Expression, then: Expression, otherwise: Expression, expected: Kind | None
+    ) -> _Operand:
+        asked = self._build(condition, Bool()).test
+        yes, no = self._build(then, expected).test, self._build(otherwise, expected).test
+
+        def test(environment: _Environment) -> _Value | None:
+            answer = asked(environment)
+            if answer is None:
+                return None
+            return yes(environment) if answer else no(environment)
+
+        return _Operand(test)
+
+    def _of_ref(self, ref: Ref, expected: Kind | None) -> _Operand:
+        match ref:
+            case ConstantRef(value, _):
+                return self._fixed(value)
+            case AlternativeRef(_, name):
+                return self._fixed(name)
+            case DefinitionRef(name):
+                return self._build(self._protocol.definitions[name].value, expected)
+            case ParameterRef(name, part):
+                values = self._protocol.parameters[name].value
+                return self._build(values[1 if part == "length" else 0], None)
+            case ParameterOfInput() | VariableRef() | StateRef() | RegisterFieldRef():
+                return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
+            case ChoiceRef() | ConditionRef():
+                return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
+            case _:
+                assert_never(ref)
+
+    def _dimension(self, dimension: _Dimension, kind: Kind | None) -> _Operand:
+        if dimension not in self.samples:
+            self.samples[dimension] = self._first_samples(dimension, kind)
+            if not isinstance(kind, Bool | ChoiceRef):
+                self._numeric.add(dimension)
+        return _Operand(lambda e: e.get(dimension), dimension)
+
+    def _first_samples(self, dimension: _Dimension, kind: Kind | None) -> set[_Value]:
+        match kind:
+            case ChoiceRef(name):
+                if self._pinned and name in self._protocol.pins:
+                    return {self._protocol.pins[name].alternative}
+                return {way.name for way in self._protocol.choices[name].alternatives}
+            case Named(table) if isinstance(dimension, StateRef):
+                rows = self._protocol.tables[table].rows
+                states = self._protocol.machines[dimension.machine].states
+                return {row.value for row in rows if row.name in states}
+            case _:
+                bounds = None if kind is None else bounds_of(self._protocol, kind)
+                return set() if bounds is None else set(bounds)
+
+    def _near(self, dimension: _Dimension, constants: set[int]) -> None:
+        """Numbers next to what a dimension is compared with, as far as its type has them."""
+        if isinstance(dimension, StateRef) or not self.samples[dimension]:
+            return
+        numbers = [n for n in self.samples[dimension] if isinstance(n, int)]
+        if not numbers:
+            return
+        low, high = min(numbers), max(numbers)
+        near = {n + step for n in constants for step in (-1, 0, 1)}
+        self.samples[dimension] |= {n for n in near if low <= n <= high}
+
+    def _related(self, one: _Operand, other: _Operand) -> None:
+        if one.dimension is not None and other.dimension is not None:
+            self.pairs.add((one.dimension, other.dimension))
+        for side, against in ((one, other), (other, one)):
+            if side.dimension is not None and isinstance(against.constant, int):
+                self._near(side.dimension, {against.constant})
+
+    def _comparison(self, value: Binary) -> _Operand:
+        of_right = expectation(self._protocol, value.left, self._scope)
+        of_left = expectation(self._protocol, value.right, self._scope)
+        left, right = self._build(value.left, of_left), self._build(value.right, of_right)
+        if self._opaque(left) or self._opaque(right):
+            for side in (left, right):
+                if side.dimension is not None:
+                    self.samples.pop(side.dimension, None)
+            return self._dimension(value, Bool())
+        self._related(left, right)
+        return _Operand(_compared(value.operator, left.test, right.test))
+
+    def _opaque(self, operand: _Operand) -> bool:
+        """A dimension without samples: bytes. What is compared with it is a truth of its own."""
+        return operand.dimension is not None and not self.samples.get(operand.dimension)
+
+    def _membership(self, operand: Expression, items: tuple[Expression | Range, ...]) -> _Operand:
+        expected = expectation(self._protocol, operand, self._scope)
+        subject = self._build(operand, expected)
+        tests: list[_Test] = []
+        for item in items:
+            if isinstance(item, Range):
+                low, high = self._build(item.low, expected), self._build(item.high, expected)
+                self._related(subject, low)
+                self._related(subject, high)
+                tests.append(_and(_compared(">=", subject.test, low.test),
+                                  _compared("<=", subject.test, high.test)))  # fmt: skip
+            else:
+                single = self._build(item, expected)
+                self._related(subject, single)
+                tests.append(_compared("==", subject.test, single.test))
+        test = _constantly(value=False)
+        for more in tests:
+            test = _or(test, more)
+        return _Operand(test)
+
+
+def _constantly(*, value: _Value) -> _Test:
+    return lambda _: value
+
+
+def _and(one: _Test, other: _Test) -> _Test:
+    def test(environment: _Environment) -> _Value | None:
+        first = one(environment)
+        if first is not None and not first:
+            return False
+        second = other(environment)
+        if second is not None and not second:
+            return False
+        return None if first is None or second is None else True
+
+    return test
+
+
+def _or(one: _Test, other: _Test) -> _Test:
+    def test(environment: _Environment) -> _Value | None:
+        first = one(environment)
+        if first:
+            return True
+        second = other(environment)
+        if second:
+            return True
+        return None if first is None or second is None else False
+
+    return test
+
+
+def _compared(operator: str, one: _Test, other: _Test) -> _Test:
+    def test(environment: _Environment) -> _Value | None:
+        left, right = one(environment), other(environment)
+        if left is None or right is None:
+            return None
+        if operator == "==":
+            return left == right
+        if operator == "!=":
+            return left != right
+        if isinstance(left, str) or isinstance(right, str):
+            return None
+        match operator:
+            case "<":
+                return left < right
+            case "<=":
+                return left <= right
+            case ">":
+                return left > right
+            case _:
+                return left >= right
+
+    return test
+
+
+def _numbers(operator: str, one: _Test, other: _Test) -> _Test:
+    def test(environment: _Environment) -> _Value | None:
+        left, right = one(environment), other(environment)
+        if isinstance(left, int) and isinstance(right, int):
+            return _arithmetic(operator, left, right)
+        return None
+
+    return test
+
+
+def _arithmetic(operator: str, left: int, right: int) -> int | None:
+    match operator:
+        case "+":
+            return left + right
+        case "-":
+            return left - right
+        case "*":
+            return left * right
+        case "/":
+            return left // right if right else None
+        case "%":
+            return left % right if right else None
+        case "&":
+            return left & right
+        case _:
+            return left | right

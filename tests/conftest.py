@@ -1,0 +1,28 @@
+"""The only place for what all tests share: the Hypothesis profile and the folder of evidence."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# No deadline: a first call may compile texts. In CI a failure must come back on the next run.
+settings.register_profile(
+    "ecatspec",
+    deadline=None,
+    print_blob=True,
+    derandomize=bool(os.environ.get("CI")),
+)
+settings.load_profile("ecatspec")
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of manuals, captures and evidence, which is not part of the repository."""
+    named = os.environ.get("ECATSPEC_SHARED")
+    folder = Path(named) if named else ROOT.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip(f"no folder {folder}; ECATSPEC_SHARED names another one")
+    return folder

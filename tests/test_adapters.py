@@ -1,0 +1,224 @@
+"""The only place for the tests of the table of adapters, the host and the package canopen."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import shlex
+import sys
+import textwrap
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
+
+import pytest
+
+from ecatspec.conformance import adapters
+from ecatspec.conformance.adapter import (
+    AdapterError,
+    Description,
+    DeviceCrash,
+    check_duration,
+    check_span,
+)
+from ecatspec.conformance.adapters import ADAPTERS, FACTORIES, open_adapter, parse_options
+from ecatspec.conformance.kit import check_adapter
+from ecatspec.conformance.process import ProcessAdapter
+from ecatspec.spec.language.ir import Access, ObjectEntry, SInt, Text, UInt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from ecatspec.spec.language.ir import Protocol
+
+DESCRIPTION = Description("a", frozenset({"sdo", "al"}), virtual_time=True, closed_dictionary=False)
+
+# A hosted device that prints, fails on address 1, leaves on address 2 and refuses address 3.
+HOSTED = """
+import os, sys
+from ecatspec.conformance import adapters, host
+from ecatspec.conformance.adapter import AdapterError, Description
+class Device:
+    def reset(self): print("reset", flush=True)
+    def read(self, address, length):
+        os.write(1, b"to descriptor 1")
+        assert sys.stdin.read() == ""
+        match address:
+            case 1: raise KeyError("lost")
+            case 2: sys.exit(0)
+            case 3: raise AdapterError("not there")
+        return 1, bytes(length)
+    def write(self, address, data): return 1
+    def advance(self, seconds): pass
+    def close(self): pass
+    def describe(self):
+        return Description("d", frozenset(), virtual_time=True, closed_dictionary=True)
+def make(device, options):
+    if device == "bad": raise ValueError("device text is bad")
+    return Device()
+host.FACTORIES = {"d": make}
+host.main(["d", '{"device": "%s", "options": {}}' % sys.argv[1]])
+"""
+
+
+def hosted(tmp_path: Path, device: str) -> ProcessAdapter:
+    path = tmp_path / "hosted.py"
+    path.write_text(textwrap.dedent(HOSTED))
+    return ProcessAdapter([sys.executable, str(path), device])
+
+
+def test_every_row_says_how_it_is_used() -> None:
+    for name, entry in ADAPTERS.items():
+        assert entry.example.partition(":")[0] == name
+        assert entry.summary
+    assert set(FACTORIES) <= set(ADAPTERS)
+
+
+def test_every_factory_has_its_file() -> None:
+    for name in FACTORIES:
+        assert importlib.util.find_spec(f"{adapters.__name__}.{name}") is not None
+
+
+def test_an_unknown_adapter_is_told_the_nearest() -> None:
+    with pytest.raises(AdapterError, match=r"did you mean 'canopen'.* canopen, exec, model"):
+        open_adapter("canopne", "akd")
+
+
+def test_options_are_read_or_refused() -> None:
+    assert parse_options("") == {}
+    assert parse_options("a=1,b=x=y") == {"a": "1", "b": "x=y"}
+    for text in ("a", "=1", "a=1,a=2"):
+        with pytest.raises(AdapterError, match="cannot read the option"):
+            parse_options(text)
+
+
+def test_a_missing_package_is_told_before_anything_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _name: None)
+    with pytest.raises(AdapterError, match=r'pip install "ecatspec\[canopen\]"'):
+        open_adapter("canopen", "akd")
+
+
+def test_a_command_that_does_not_come_up_is_a_matter_of_set_up() -> None:
+    command = shlex.join([sys.executable, "-c", "import sys; sys.exit('no card')"])
+    with pytest.raises(AdapterError, match=r"does not come up: .*exit status 1; it said: no card"):
+        open_adapter(f"exec:{command}", "akd")
+    with pytest.raises(AdapterError, match="cannot read the command"):
+        open_adapter("exec:'", "akd")
+    with pytest.raises(AdapterError, match="empty"):
+        open_adapter("exec:", "akd")
+
+
+def test_an_unknown_device_is_a_matter_of_set_up() -> None:
+    with pytest.raises(AdapterError, match="cannot set up 'model'"):
+        open_adapter("model", "no-such-device")
+
+
+def test_the_host_keeps_the_protocol_apart_from_prints(tmp_path: Path) -> None:
+    with hosted(tmp_path, "good") as adapter:
+        adapter.reset()
+        assert adapter.read(0, 2) == (1, b"\x00\x00")
+        with pytest.raises(AdapterError, match="not there"):
+            adapter.read(3, 1)
+        assert adapter.describe().name == "d"
+
+
+def test_an_exception_of_a_hosted_device_is_a_crash(tmp_path: Path) -> None:
+    with hosted(tmp_path, "good") as adapter:
+        with pytest.raises(
+            DeviceCrash, match="exit status 70; it said: KeyError: 'lost'"
+        ) as caught:
+            adapter.read(1, 1)
+        assert "Traceback" in caught.value.stderr_tail
+        adapter.reset()
+        with pytest.raises(DeviceCrash, match="exit status 70"):
+            adapter.read(2, 1)
+
+
+def test_a_set_up_that_fails_is_not_a_crash(tmp_path: Path) -> None:
+    with hosted(tmp_path, "bad") as adapter, pytest.raises(AdapterError, match="text is bad"):
+        adapter.describe()
+
+
+def test_a_description_survives_json_and_wrong_ones_are_refused() -> None:
+    data = DESCRIPTION.to_json()
+    assert Description.from_json(data) == DESCRIPTION
+    for field, wrong in (
+        ("name", 1),
+        ("protocols", "al"),
+        ("notes", [1]),
+        ("virtual_time", 1),
+        ("extra", 1),
+    ):
+        with pytest.raises(ValueError, match=field):
+            Description.from_json({**data, field: wrong})
+
+
+def test_accesses_outside_the_contract_are_refused() -> None:
+    check_span(0, 1 << 16)
+    for address, length in ((-1, 1), (0, 0), (1 << 16, 1), (65535, 2)):
+        with pytest.raises(AdapterError):
+            check_span(address, length)
+    for seconds in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(AdapterError):
+            check_duration(seconds)
+
+
+@pytest.mark.parametrize("name", sorted(FACTORIES))
+def test_every_hosted_adapter_passes_the_kit(name: str) -> None:
+    if name == "canopen":
+        pytest.importorskip("canopen")
+    complaints = check_adapter(
+        lambda: open_adapter(name, "standard"),
+        spans=[(0, 2), (0x130, 2), (0x1000, 256)],
+        write=(0x120, b"\x01\x00"),
+    )
+    assert complaints == []
+
+
+OBJECTS = (
+    ObjectEntry(0x2000, 0, "plain", UInt(16), Access.BOTH, default=0x2211),
+    ObjectEntry(0x2001, 0, "count", UInt(8), Access.READ, constant=True, default=2),
+    ObjectEntry(0x2001, 1, "signed", SInt(32), Access.BOTH, default=-2),
+    ObjectEntry(0x2001, 2, "secret", UInt(8), Access.WRITE),
+    ObjectEntry(0x2002, 0, "text", Text(20), Access.BOTH, default="hello world"),
+    ObjectEntry(0x2003, 0, "bits", UInt(2), Access.BOTH),
+    ObjectEntry(0x1017, 0, "heartbeat", UInt(16), Access.BOTH),
+)
+
+
+@pytest.fixture
+def canopen_server() -> Callable[[str], list[str]]:
+    pytest.importorskip("canopen")
+    module = importlib.import_module("ecatspec.conformance.adapters.canopen")
+    server = module.SdoServer(cast("Protocol", SimpleNamespace(objects=OBJECTS)))
+    return lambda request: [reply.hex(" ") for reply in server(bytes.fromhex(request))]
+
+
+@pytest.mark.parametrize(
+    ("requests", "reply"),
+    [
+        (["40 00 20 00 00000000"], "4b 00 20 00 11 22 00 00"),
+        (["40 01 20 00 00000000"], "4f 01 20 00 02 00 00 00"),
+        (["40 01 20 01 00000000"], "43 01 20 01 fe ff ff ff"),
+        (["40 01 20 02 00000000"], "80 01 20 02 01 00 01 06"),
+        (["40 01 20 03 00000000"], "80 01 20 03 11 00 09 06"),
+        (["40 03 20 00 00000000"], "4f 03 20 00 00 00 00 00"),
+        (["40 99 20 00 00000000"], "80 99 20 00 00 00 02 06"),
+        (["40 02 20 00 00000000"], "41 02 20 00 0b 00 00 00"),
+        (["40 02 20 00 00000000", "60 00000000000000"], "00 68 65 6c 6c 6f 20 77"),
+        (["2b 00 20 00 34120000", "40 00 20 00 00000000"], "4b 00 20 00 34 12 00 00"),
+        (["2f 01 20 00 01000000"], "80 01 20 00 02 00 01 06"),
+        (["2b 17 10 00 64000000"], "60 17 10 00 00 00 00 00"),
+    ],
+)
+def test_the_mapping_to_canopen_adds_nothing(
+    canopen_server: Callable[[str], list[str]], requests: list[str], reply: str
+) -> None:
+    assert [canopen_server(request) for request in requests][-1] == [reply]
+
+
+def test_an_exception_of_canopen_is_not_caught(
+    canopen_server: Callable[[str], list[str]],
+) -> None:
+    with pytest.raises(Exception, match="required argument is not an integer"):
+        canopen_server("60 00000000000000")

@@ -1,0 +1,186 @@
+"""The only place for tests of the laws in CONTRIBUTING.md: they read the source tree."""
+
+import ast
+import graphlib
+import sys
+import tokenize
+import tomllib
+from collections.abc import Iterator
+from importlib import resources
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDERS = ("spec", "model", "generators", "conformance")  # imports point left only
+SOURCES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
+
+# Law 1: numbers of 0x100 and more that are no facts of the protocol.
+# (file, literal as written) -> why it may stand in Python.
+ALLOWED_NUMBERS: dict[tuple[str, str], str] = {}
+
+# Law 3: what the core may not import, since it is a clock, a network, a process or a true random.
+OUTSIDE_WORLD = {"asyncio", "secrets", "select", "signal", "socket", "subprocess", "time"}
+
+
+def name_of(path: Path) -> str:
+    """File in the tree -> module of the installed package."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(("ecatspec", *(parts[:-1] if parts[-1] == "__init__" else parts)))
+
+
+MODULES = {name_of(path): path for path in SOURCES}
+each_module = pytest.mark.parametrize("module", sorted(MODULES))
+
+
+def imports_of(module: str) -> Iterator[tuple[int, str]]:
+    """Line and full name of everything a module imports, wherever in the module it does so."""
+    path = MODULES[module]
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        match node:
+            case ast.Import(names=names):
+                yield from ((node.lineno, alias.name) for alias in names)
+            case ast.ImportFrom(module=source, names=names, level=level):
+                base = source or ""
+                if level:
+                    above = package.split(".")[: len(package.split(".")) - level + 1]
+                    base = ".".join((*above, *([source] if source else [])))
+                yield from ((node.lineno, f"{base}.{alias.name}") for alias in names)
+            case _:
+                pass
+
+
+def home_of(imported: str) -> str | None:
+    """The module of the tree that an imported name comes from."""
+    if imported in MODULES:
+        return imported
+    parent = imported.rpartition(".")[0]
+    return parent if parent in MODULES else None
+
+
+def texts_below(folder: Traversable, prefix: str = "") -> Iterator[str]:
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            yield from texts_below(entry, f"{prefix}{entry.name}/")
+        elif entry.name.endswith((".ecs", ".lark")):
+            yield prefix + entry.name
+
+
+def test_every_folder_has_modules() -> None:
+    assert {path.relative_to(ROOT).parts[0] for path in SOURCES} == set(FOLDERS)
+
+
+@each_module
+def test_law_1_no_protocol_number_in_python(module: str) -> None:
+    path = MODULES[module]
+    file = path.relative_to(ROOT).as_posix()
+    with path.open("rb") as stream:
+        found = [
+            f"{file}:{token.start[0]}: {token.string}"
+            for token in tokenize.tokenize(stream.readline)
+            if token.type == tokenize.NUMBER
+            and token.string.lower().startswith("0x")
+            and int(token.string, 16) >= 0x100
+            and (file, token.string) not in ALLOWED_NUMBERS
+        ]
+    assert not found, "a fact of the protocol stands in a text of spec/; ask the specification"
+
+
+def test_law_1_every_allowed_number_is_needed() -> None:
+    for (file, literal), reason in ALLOWED_NUMBERS.items():
+        assert literal in (ROOT / file).read_text("utf-8"), (file, literal)
+        assert reason, (file, literal)
+
+
+@each_module
+def test_law_2_imports_point_left(module: str) -> None:
+    here = FOLDERS.index(module.split(".")[1])
+    found = []
+    for line, imported in imports_of(module):
+        top, _, rest = imported.partition(".")
+        if top == "ecatspec":
+            folder = rest.partition(".")[0]
+            if folder not in FOLDERS[: here + 1]:
+                found.append(f"{MODULES[module]}:{line}: {imported}")
+        elif top in FOLDERS:  # works in a checkout only, and makes a second copy of every class
+            found.append(f"{MODULES[module]}:{line}: {imported} without ecatspec")
+    assert not found, f"{module} may import from {FOLDERS[: here + 1]}"
+
+
+def test_law_2_no_cycles() -> None:
+    graph = {
+        module: {home for _, name in imports_of(module) if (home := home_of(name))} - {module}
+        for module in MODULES
+    }
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail("a cycle: " + " -> ".join(reversed(error.args[1])))
+
+
+def test_law_2_spec_imports_lark_and_nothing_else() -> None:
+    allowed = {*sys.stdlib_module_names, "ecatspec", "lark"}
+    found = [
+        f"{MODULES[module]}:{line}: {imported}"
+        for module in MODULES
+        if module.split(".")[1] == "spec"
+        for line, imported in imports_of(module)
+        if imported.partition(".")[0] not in allowed
+    ]
+    assert not found
+
+
+def test_law_3_the_core_knows_no_outside_world() -> None:
+    found = [
+        f"{MODULES[module]}:{line}: {imported}"
+        for module in MODULES
+        if module.split(".")[1] != "conformance"
+        for line, imported in imports_of(module)
+        if imported.partition(".")[0] in OUTSIDE_WORLD
+    ]
+    assert not found, "time is an input; I/O lives in adapters and the command line"
+
+
+@each_module
+def test_law_12_the_first_line_says_what_the_module_is_for(module: str) -> None:
+    docstring = ast.get_docstring(ast.parse(MODULES[module].read_bytes()))
+    assert docstring, f"{MODULES[module]}:1: a module starts with a docstring"
+    assert docstring.splitlines()[0].strip()
+
+
+def test_package_list_equals_the_tree() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    tree = {name_of(path) for path in SOURCES if path.name == "__init__.py"}
+    assert set(project["tool"]["setuptools"]["packages"]) == tree
+
+
+def test_every_module_is_in_a_package() -> None:
+    outside = [path for path in SOURCES if not (path.parent / "__init__.py").exists()]
+    assert not outside, "the wheel would lack these"
+
+
+def test_every_text_is_installed() -> None:
+    tree = {
+        path.relative_to(ROOT / "spec").as_posix()
+        for path in (ROOT / "spec").rglob("*")
+        if path.suffix in {".ecs", ".lark"}
+    }
+    assert set(texts_below(resources.files("ecatspec.spec"))) == tree
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_every_folder_is_typed_for_the_checker(folder: str) -> None:
+    assert (ROOT / folder / "py.typed").is_file()
+    if (ROOT / "PKG-INFO").exists():
+        pytest.skip("a source distribution carries no links")
+    assert (ROOT / "typings" / "ecatspec" / folder).resolve() == ROOT / folder
+
+
+def test_the_checker_reads_the_tree_and_not_the_wheel() -> None:
+    # Without this file mypy takes a namespace apart and prefers the typed copy that is installed:
+    # it then checks the state of the last installation.
+    if (ROOT / "PKG-INFO").exists():
+        pytest.skip("a source distribution carries no links")
+    assert (ROOT / "typings" / "ecatspec" / "__init__.pyi").is_file()

@@ -52,6 +52,10 @@ class ObjectDictionary:
             "too_low": self._of_entry(lambda e, _, a: _compare(e, a[2]) < 0),
         }
 
+    def highest(self, index: int) -> int:
+        """Give the highest declared subindex of an object."""
+        return self._highest[index]
+
     def close(self) -> None:
         """Take it that exactly the declared objects exist, as a device under test declares."""
         self.closed = True

@@ -133,6 +133,18 @@ class Oracle:
         """Tell whether some candidate has or will have a reply in the mailbox."""
         return any(c.outbox for c in self._expanded(-1))
 
+    def due_rules(self) -> tuple[RuleName, ...]:
+        """Give the rules that may serve the inputs that the device has."""
+        return tuple(
+            dict.fromkeys(
+                rule
+                for candidate in self.candidates
+                for pending in candidate.inbox
+                for taken in step(self.model, candidate.state, pending.event)
+                for rule in taken.rules
+            )
+        )
+
     def certain_rules(self) -> frozenset[RuleName]:
         """Give the rules that fired in every candidate's history."""
         histories = [set(history) for history in self.candidates.values()]
@@ -189,6 +201,8 @@ class Oracle:
             for register in touched:
                 slot = self.model.slots[f"register {register.name}"]
                 raw = self._merged(register, state.slots[slot], exchange)
+                if register.name in SYNC_MANAGERS and self._enabled(candidate.state, register.name):
+                    raw = state.slots[slot] or 0
                 state = state.having(slot, raw)
                 for bits in register.fields:
                     parameters[bits.name] = (
@@ -201,17 +215,28 @@ class Oracle:
                 changed = replace(changed, outbox=())
             for machine, source in inputs:
                 event = Event(machine, source.name, parameters)
-                within = max(s.within for s in step(self.model, changed.state, event))
-                pending = Pending(event, exchange.time + within)
-                changed = replace(changed, inbox=(*changed.inbox, pending))
+                pending = self._pending(changed.state, event, exchange.time)
+                if pending is not None:
+                    changed = replace(changed, inbox=(*changed.inbox, pending))
             after[changed] = history
         self.candidates = after
 
+    def _pending(self, state: State, event: Event, time: int) -> Pending | None:
+        """Give the input with its deadline; None when it changes nothing and has no deadline."""
+        steps = step(self.model, state, event)
+        within = max(taken.within for taken in steps)
+        if not within and all(taken.state == state and not taken.outputs for taken in steps):
+            return None
+        return Pending(event, time + within)
+
     def _mailboxes_off(self, state: State) -> bool:
-        raw = state.slots[self.model.slots[f"register {MAIN_IN}_activation"]]
+        return self._enabled(state, MAIN_IN) is False
+
+    def _enabled(self, state: State, name: str) -> bool | None:
+        raw = state.slots[self.model.slots[f"register {name}_activation"]]
         if not isinstance(raw, int):
-            return False
-        return not field_of(self.model.protocol, f"{MAIN_IN}_activation", "enabled", raw)
+            return None
+        return bool(field_of(self.model.protocol, f"{name}_activation", "enabled", raw))
 
     def _merged(self, register: Register, before: Value | None, exchange: Exchange) -> Value:
         covered = range(
@@ -246,9 +271,9 @@ class Oracle:
                 after[replace(candidate, loose=True)] = history
                 continue
             event = Event("mailbox", "mail", message.fields, message.trail)
-            within = max(s.within for s in step(self.model, candidate.state, event))
-            pending = Pending(event, exchange.time + within)
-            after[replace(candidate, inbox=(*candidate.inbox, pending))] = history
+            pending = self._pending(candidate.state, event, exchange.time)
+            inbox = candidate.inbox if pending is None else (*candidate.inbox, pending)
+            after[replace(candidate, inbox=inbox)] = history
         if concerned and not after:
             return self._mismatch(
                 exchange, "mailbox write", refused, {"the mailbox takes the request": None},

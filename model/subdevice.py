@@ -15,7 +15,7 @@ from ecatspec.model.dictionary import encode_value
 from ecatspec.model.esc import SYNC_MANAGERS, Esc
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import expected_fields, step
-from ecatspec.model.state import Event, Output, State
+from ecatspec.model.state import Event, Output, State, Step
 from ecatspec.model.values import Pattern, Value
 
 if TYPE_CHECKING:
@@ -112,16 +112,20 @@ class VirtualSubDevice:
             self.esc.pdi_write(outbox[0], reply.ljust(outbox[1], b"\0"))
 
     def _run(self, event: Event, message: Message | None = None) -> None:
-        before = self.state.slots[self.model.slots["al.state"]]
+        before = self._al_state()
         taken = step(self.model, self.state, event)[0]
+        if taken.unspecified and not _delivered(taken):
+            return
         self.state = taken.state
-        if self.state.slots[self.model.slots["al.state"]] != before:
+        if self._al_state() != before:
             self._queue.clear()
-        served = any(rule.machine == "sdo" for rule in taken.rules)
-        if self._sdo_server and message and served and self._is_sdo(message):
+        if self._sdo_server and message and self._is_sdo(message) and _delivered(taken):
             self._queue += self._served(self._sdo_server, message)
         else:
             self._queue += [self._encoded(output) for output in taken.outputs]
+
+    def _al_state(self) -> Value | None:
+        return self.state.slots[self.model.slots["al.state"]]
 
     def _is_sdo(self, message: Message) -> bool:
         return message.fields.get("service") == self._request_service
@@ -172,3 +176,8 @@ class VirtualSubDevice:
                 number = 0 if isinstance(value, Pattern) or not isinstance(value, int) else value
                 raw |= int(number) << view.low
             self.esc.set_register(register, raw)
+
+
+def _delivered(taken: Step) -> bool:
+    """Tell whether the mailbox took the message and handed it on."""
+    return any(rule.machine == ROOT for rule in taken.rules) and len(taken.rules) > 1

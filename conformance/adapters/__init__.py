@@ -94,7 +94,9 @@ def _open_hosted(name: str, rest: str, device: str, *, package: str | None = Non
         message = f'the adapter {name!r} needs a package: pip install "ecatspec[{package}]"'
         raise AdapterError(message)
     arguments = json.dumps({"device": device, "options": options})
-    return ProcessAdapter([sys.executable, "-m", "ecatspec.conformance.host", name, arguments])
+    # -P: a file of the user's folder must not stand in for a module.
+    host = [sys.executable, "-P", "-m", "ecatspec.conformance.host"]
+    return ProcessAdapter([*host, name, arguments])
 
 
 def _open_command(rest: str, _device: str) -> Adapter:

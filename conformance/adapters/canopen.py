@@ -111,8 +111,7 @@ class _Canopen:
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         self._server = SdoServer(protocol)
-        # The server is looked up at each request: a reset puts a new one in its place.
-        self._device = VirtualSubDevice(protocol, sdo_server=lambda r: self._server(r))
+        self._device = VirtualSubDevice(protocol, sdo_server=self._serve)
         self._description = Description(
             name=f"canopen {importlib.metadata.version('canopen')} SdoServer, {protocol.name}",
             protocols=frozenset({"sdo"}),
@@ -120,6 +119,9 @@ class _Canopen:
             closed_dictionary=True,
             notes=_NOTES,
         )
+
+    def _serve(self, request: bytes) -> list[bytes]:
+        return self._server(request)  # of this moment: a reset puts a new one in its place
 
     def reset(self) -> None:
         self._server = SdoServer(self._protocol)

@@ -485,13 +485,12 @@ class _Checker:
         for variable in machine.variables:
             self._type(variable.type, variable.at)
         for item in machine.inputs:
-            areas = [p.name for p in self._protocol.parameters.values() if p.type == Area()]
-            known = [*self._protocol.registers, *areas]
+            known = list(self._protocol.registers)
             if item.kind == "frame":
                 known = list(self._protocol.frames)
             for origin in item.origin:
                 if origin not in known:
-                    kind = "frame" if item.kind == "frame" else "register or area"
+                    kind = "frame" if item.kind == "frame" else "register"
                     self._missing(kind, origin, known, item.at)
             for _, kind_of_parameter in item.parameters:
                 self._type(kind_of_parameter, item.at)

@@ -13,9 +13,6 @@ A bare name is looked up in this order; the first that knows it wins:
 
 Dotted names are `input.parameter` of the rule's own input, `machine.variable`, `machine.state`,
 `register.field`, `parameter.start`, `parameter.length`, `table.row`.
-
-A write to an area parameter is a message: its parameters are the fields of the frame that has the
-name of the machine.
 """
 
 from __future__ import annotations
@@ -358,18 +355,16 @@ def _parameters(protocol: Protocol, scope: Scope) -> dict[str, Type]:
         return {}
     if found.kind == "event":
         return dict(found.parameters)
-    origins = [_origin(protocol, scope, found.kind, origin) for origin in found.origin]
+    origins = [_origin(protocol, found.kind, origin) for origin in found.origin]
     common = origins[0] if origins else {}
     for other in origins[1:]:
         common = {name: kind for name, kind in common.items() if name in other}
     return common
 
 
-def _origin(protocol: Protocol, scope: Scope, kind: str, origin: str) -> dict[str, Type]:
+def _origin(protocol: Protocol, kind: str, origin: str) -> dict[str, Type]:
     if kind == "frame":
         return frame_fields(protocol, origin)
-    if origin in protocol.parameters:
-        return frame_fields(protocol, scope.machine or "")
     register = protocol.registers.get(origin)
     return {} if register is None else {field.name: field.type for field in register.fields}
 

@@ -1,0 +1,237 @@
+"""The only place for a conformance run: cases one after the other, a verdict for each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, TypeAlias
+
+from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
+
+from ecatspec.conformance.adapter import AdapterError, DeviceCrash, DeviceHang, DeviceRubbish
+from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.devices import load
+from ecatspec.conformance.session import Deviation, Session
+from ecatspec.conformance.verdict import BLAMING, Outcome, Result, TraceLine, Verdict
+from ecatspec.generators.case import Case, Probe, Stimulus
+from ecatspec.generators.bringup import way_to
+from ecatspec.generators.sdo_cover import sdo_cover
+from ecatspec.generators.strategies import requests
+from ecatspec.generators.transition_cover import transition_cover
+from ecatspec.model.compiled import Model
+from ecatspec.model.interpreter import rule_clauses
+from ecatspec.model.oracle import Mismatch, Oracle
+from ecatspec.model.state import RuleName
+from ecatspec.spec.language.ir import Level
+
+if TYPE_CHECKING:
+    from ecatspec.conformance.adapter import Adapter, Description
+
+Progress: TypeAlias = Callable[[int, int, str], None]
+
+EXAMPLES = {"quick": 30, "default": 150}
+_ROUNDS = 12
+_STEPS = 6
+
+
+class Runner:
+    """Runs cases against one device and keeps what they showed."""
+
+    def __init__(self, model: Model, adapter: Adapter, description: Description) -> None:
+        """Take the compiled texts and an open adapter."""
+        self.model = model
+        self.adapter = adapter
+        self.description = description
+        if description.closed_dictionary:
+            model.dictionary.close()
+        self.session = Session(adapter, model, Oracle(model))
+        self.verdicts: list[Verdict] = []
+        self.rules: set[RuleName] = set()
+        self.choices: dict[str, str] = {}
+
+    def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
+        """Run cases in order; a case of a layer that is not the device's own is skipped."""
+        for number, case in enumerate(cases):
+            if progress is not None:
+                progress(number, total, case.name)
+            self.verdicts.append(self.judge(case))
+
+    def judge(self, case: Case) -> Verdict:
+        """Run one case from power-on."""
+        if case.layer not in self.description.protocols:
+            reason = f"{case.layer} is not the device's own: {self.description.name} supplies "
+            reason += ", ".join(sorted(self.description.protocols))
+            return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
+        self.session.trace = []
+        try:
+            self.session.begin(self.choices)
+            for position, stimulus in enumerate(case.stimuli):
+                if position == case.prelude and case.needs is not None:
+                    states = self.session.oracle.al_states()
+                    if states != {case.needs}:
+                        return self._inconclusive(case, states)
+                self.session.apply(stimulus)
+        except Deviation as deviation:
+            return self._failure(case, deviation.mismatch)
+        except (DeviceCrash, DeviceHang, DeviceRubbish) as death:
+            return self._death(case, death)
+        except AdapterError as trouble:
+            return Verdict(case.name, Outcome.ERROR, case.title, str(trouble))
+        oracle = self.session.oracle
+        self.rules |= oracle.certain_rules()
+        self.choices |= oracle.choices()
+        return Verdict(case.name, Outcome.PASS, case.title)
+
+    def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
+        """Vary requests at random; every new cause is shrunk to its shortest run by replay."""
+        if "sdo" not in self.description.protocols:
+            return
+        known = {v.signature for v in self.verdicts if v.outcome in BLAMING}
+        way = way_to(self.model, "PREOP")
+        for number in range(_ROUNDS):
+            if progress is not None:
+                progress(number, _ROUNDS, "random requests")
+            verdict = self._explore_once(way, examples, first_seed + number, known)
+            self.verdicts.append(verdict)
+            if verdict.outcome not in BLAMING:
+                return
+            known.add(verdict.signature)
+
+    def _explore_once(
+        self, way: tuple[Stimulus, ...], examples: int, chosen_seed: int, known: set[str]
+    ) -> Verdict:
+        name = f"random/seed_{chosen_seed}"
+        failures: list[Verdict] = []
+
+        def attempt(sent: list[Stimulus]) -> None:
+            stimuli = (*way, *sent, Probe())
+            case = Case(name, "random requests", "sdo", stimuli, "PREOP", len(way))
+            verdict = self.judge(case)
+            if verdict.outcome in BLAMING and verdict.signature not in known:
+                if failures and failures[-1].signature != verdict.signature:
+                    return
+                failures.append(verdict)
+                raise _Found
+
+        search = settings(
+            max_examples=examples,
+            database=None,
+            deadline=None,
+            phases=(Phase.generate, Phase.shrink),
+            verbosity=Verbosity.quiet,
+            suppress_health_check=list(HealthCheck),
+            print_blob=False,
+            report_multiple_bugs=False,
+        )
+        wrapped = seed(chosen_seed)(search(given(requests(self.model, _STEPS))(attempt)))
+        try:
+            wrapped()
+        except _Found:
+            return failures[-1]
+        return Verdict(name, Outcome.PASS, "random requests")
+
+    # --- verdicts -----------------------------------------------------------------------------------
+
+    def _failure(self, case: Case, mismatch: Mismatch) -> Verdict:
+        clauses = self.model.protocol.clauses
+        cited = [clauses[name] for name in mismatch.clauses]
+        blames = any(clause.level is Level.MUST for clause in cited) or not cited
+        return Verdict(
+            case.name,
+            Outcome.FAIL if blames else Outcome.WARNING,
+            case.title,
+            "no state that the texts allow explains the observation",
+            mismatch.expected,
+            mismatch.observed,
+            mismatch.clauses,
+            tuple(dict.fromkeys(claim for clause in cited for claim in clause.claims)),
+            tuple(self.session.trace),
+            f"{self.session.time / 1000:.1f} ms",
+            mismatch.signature,
+        )
+
+    def _death(self, case: Case, death: Exception) -> Verdict:
+        trace = tuple(self.session.trace)
+        last = next((line.what for line in reversed(trace) if line.who == "MainDevice"), "power-on")
+        due = self.session.oracle.deadline() is not None
+        rules = self.session.oracle.due_rules() if due else ()
+        clauses = tuple(dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule)))
+        kind = type(death).__name__
+        return Verdict(
+            case.name,
+            Outcome.CRASH,
+            case.title,
+            f"last stimulus: {last}",
+            ("an answer, and a device that lives",),
+            str(death),
+            clauses,
+            (),
+            (*trace, TraceLine(self.session.time, "SubDevice", str(death))),
+            f"{self.session.time / 1000:.1f} ms",
+            f"{kind} {' '.join(str(rule) for rule in rules)} {_kind(death)}",
+        )
+
+    def _inconclusive(self, case: Case, states: frozenset[str]) -> Verdict:
+        reached = " or ".join(sorted(states)) or "no state"
+        reason = f"needs AL state {case.needs}, the device is in {reached}"
+        return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
+
+
+class _Found(Exception):  # noqa: N818
+    """A new cause was found; Hypothesis shrinks it."""
+
+
+def _kind(death: Exception) -> str:
+    return str(death).rsplit(":", 1)[-1].strip()
+
+
+def run_device(
+    device: str,
+    dut: str,
+    *,
+    depth: str = "default",
+    seed: int = 0,  # noqa: A002
+    hang_timeout: float = 10.0,
+    progress: Progress | None = None,
+) -> Result:
+    """Run everything against one device under test; Ctrl-C ends with what was found so far."""
+    began = time.monotonic()
+    protocol = load(device)
+    model = Model(protocol)
+    adapter = open_adapter(dut, device, hang_timeout=hang_timeout)
+    interrupted = False
+    try:
+        description = adapter.describe()
+        runner = Runner(model, adapter, description)
+        cases = list(all_cases(model))
+        try:
+            runner.run(cases, progress, len(cases))
+            runner.explore(EXAMPLES[depth], seed, progress)
+        except KeyboardInterrupt:
+            interrupted = True
+    finally:
+        adapter.close()
+    rules = sum(len(machine.rules) for machine in protocol.machines.values())
+    cited = {c for rule in runner.rules for c in rule_clauses(model, rule)}
+    all_cited = {
+        c for machine in protocol.machines.values() for rule in machine.rules for c in rule.clauses
+    }
+    return Result(
+        protocol.name,
+        description.name,
+        tuple(runner.verdicts),
+        tuple(sorted(str(rule) for rule in runner.rules)),
+        rules,
+        tuple(sorted(cited)),
+        len(all_cited),
+        time.monotonic() - began,
+        runner.choices,
+        description.notes,
+        interrupted,
+    )
+
+
+def all_cases(model: Model) -> Iterator[Case]:
+    """Give all fixed cases of a protocol in the order in which they run."""
+    yield from transition_cover(model)
+    yield from sdo_cover(model)

@@ -1,0 +1,150 @@
+"""The only place that drives a device through one case and asks the oracle after every exchange."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ecatspec.conformance.verdict import TraceLine
+from ecatspec.generators.case import Probe, SendFrame, Stimulus, WriteRegister
+from ecatspec.generators.sdo_cover import probe_entry, upload
+from ecatspec.generators.stimulus import frame_bytes, register_bytes
+from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.oracle import Exchange, Mismatch, Oracle
+from ecatspec.model.words import message_words, register_words
+
+if TYPE_CHECKING:
+    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.model.compiled import Model
+
+MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+ROOT = "mailbox"
+_SECOND = 1_000_000
+_FIRST_WAIT = 500
+_SLOWER = 4
+
+
+class Deviation(Exception):  # noqa: N818
+    """The device did what no state of the texts allows."""
+
+    def __init__(self, mismatch: Mismatch) -> None:
+        """Keep the mismatch."""
+        super().__init__(mismatch.observed)
+        self.mismatch = mismatch
+
+
+@dataclass(slots=True)
+class Session:
+    """One device, one oracle, one clock in microseconds, and the trace in words."""
+
+    adapter: Adapter
+    model: Model
+    oracle: Oracle
+    time: int = 0
+    trace: list[TraceLine] = field(default_factory=list)
+    exchanges: int = 0
+    _counter: int = 0
+    _shown: dict[str, int] = field(default_factory=dict)
+
+    def begin(self, choices: dict[str, str]) -> None:
+        """Power cycle the device."""
+        self.adapter.reset()
+        self.time = 0
+        self.trace = []
+        self._counter = 0
+        self._shown = {}
+        self.oracle.power_on(choices)
+        self._look()
+
+    def apply(self, stimulus: Stimulus) -> None:
+        """Give one stimulus and watch until nothing more may happen; raise Deviation."""
+        match stimulus:
+            case WriteRegister():
+                address, data = register_bytes(self.model, stimulus)
+                words = register_words(self.model, stimulus.register, stimulus.fields)
+                self._say("MainDevice", f"writes {words}")
+                self._write(address, data)
+            case SendFrame():
+                self._send(stimulus)
+            case Probe():
+                entry = probe_entry(self.model)
+                if entry is not None:
+                    self._send(upload(entry.index, entry.subindex))
+        self._settle()
+
+    # --- mailbox ------------------------------------------------------------------------------------
+
+    def _send(self, stimulus: SendFrame) -> None:
+        if not stimulus.same_counter:
+            self._counter = self._counter % 7 + 1
+        data = frame_bytes(self.model, stimulus, self._counter)
+        message = self.model.codec.decode(data, ROOT)
+        if message is not None:
+            self._say("MainDevice", f"sends {message_words(self.model, message)}")
+        start, length = self._area(MAIN_OUT)
+        limit = self.time + self.model.parameter("request_timeout")
+        while not self._write(start, data.ljust(length, b"\0")) and self.time < limit:
+            self._wait(limit // 10 or 1)
+
+    def _area(self, name: str) -> tuple[int, int]:
+        parameter = {MAIN_OUT: "mailbox_out", MAIN_IN: "mailbox_in"}[name]
+        return self.model.parameter(parameter, "start"), self.model.parameter(parameter, "length")
+
+    # --- watching -----------------------------------------------------------------------------------
+
+    def _settle(self) -> None:
+        wait = _FIRST_WAIT
+        while True:
+            self._look()
+            if self.oracle.settled(self.time):
+                return
+            deadline = self.oracle.deadline()
+            left = 0 if deadline is None else deadline - self.time + 1
+            self._wait(max(1, min(wait, left)))
+            wait *= _SLOWER
+
+    def _look(self) -> None:
+        self._read_register("al_status_code")
+        self._read_register("al_status")
+        status = self._read_register(f"{MAIN_IN}_status")
+        if field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status):
+            start, length = self._area(MAIN_IN)
+            counter, data = self.adapter.read(start, length)
+            message = self.model.codec.decode(data, ROOT) if counter else None
+            words = "no message" if message is None else message_words(self.model, message)
+            self._say("SubDevice", f"answers {words}")
+            self._observe(Exchange(self.time, False, start, data, counter))
+
+    def _read_register(self, name: str) -> int:
+        register = self.model.protocol.registers[name]
+        counter, data = self.adapter.read(register.address, register.size)
+        raw = int.from_bytes(data, "little")
+        if self.model.views[name] and self._shown.get(name) != raw:
+            first = name not in self._shown
+            self._shown[name] = raw
+            if not first:
+                shown = {
+                    view.name: field_of(self.model.protocol, name, view.name, raw)
+                    for view in self.model.views[name]
+                }
+                self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
+        self._observe(Exchange(self.time, False, register.address, data, counter))
+        return raw if counter else 0
+
+    def _write(self, address: int, data: bytes) -> int:
+        counter = self.adapter.write(address, data)
+        self._observe(Exchange(self.time, True, address, data, counter))
+        return counter
+
+    def _observe(self, exchange: Exchange) -> None:
+        self.exchanges += 1
+        mismatch = self.oracle.observe(exchange)
+        if mismatch is not None:
+            raise Deviation(mismatch)
+
+    def _wait(self, microseconds: int) -> None:
+        self.adapter.advance(microseconds / _SECOND)
+        self.time += microseconds
+
+    def _say(self, who: str, what: str) -> None:
+        self.trace.append(TraceLine(self.time, who, what))

@@ -1,0 +1,55 @@
+"""The only place for the way up: stimuli that set the mailboxes and lead to an AL state."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.case import Stimulus, WriteRegister
+from ecatspec.model.esc import SYNC_MANAGERS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ecatspec.model.compiled import Model
+
+AREAS = {"sync_manager_0": "mailbox_out", "sync_manager_1": "mailbox_in"}
+DIRECTIONS = {"sync_manager_0": "main_writes", "sync_manager_1": "main_reads"}
+WAY_UP = ("INIT", "PREOP", "SAFEOP", "OP")
+
+
+def row(model: Model, table: str, name: str) -> int:
+    """Give the value of a row of a code table."""
+    return next(r.value for r in model.protocol.tables[table].rows if r.name == name)
+
+
+def mailbox_settings(
+    model: Model, changes: Mapping[str, Mapping[str, int]] | None = None
+) -> tuple[Stimulus, ...]:
+    """Set both mailbox SyncManagers as the texts say; `changes` deviates field by field."""
+    stimuli: list[Stimulus] = [
+        WriteRegister(f"{name}_activation", {"enabled": 0}) for name in SYNC_MANAGERS
+    ]
+    for name in SYNC_MANAGERS:
+        fields = {
+            "start": model.parameter(AREAS[name], "start"),
+            "length": model.parameter(AREAS[name], "length"),
+            "mode": row(model, "sync_manager_mode", "mailbox"),
+            "direction": row(model, "sync_manager_direction", DIRECTIONS[name]),
+        }
+        stimuli.append(WriteRegister(name, fields | dict((changes or {}).get(name, {}))))
+    for name in SYNC_MANAGERS:
+        enabled = (changes or {}).get(f"{name}_activation", {"enabled": 1})
+        stimuli.append(WriteRegister(f"{name}_activation", enabled))
+    return tuple(stimuli)
+
+
+def request(value: int, *, acknowledge: bool = False) -> WriteRegister:
+    """Request an AL state."""
+    return WriteRegister("al_control", {"requested": value, "acknowledge": int(acknowledge)})
+
+
+def way_to(model: Model, state: str) -> tuple[Stimulus, ...]:
+    """Give the stimuli from power-on to an AL state on the way up."""
+    wanted = WAY_UP[1 : WAY_UP.index(state) + 1]
+    requests = tuple(request(row(model, "al_state", name)) for name in wanted)
+    return (*mailbox_settings(model), *requests)

@@ -1,0 +1,53 @@
+"""The only place for the shape of a test case: stimuli in order, and what they are for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from ecatspec.model.values import Value
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRegister:
+    """The MainDevice writes a register; fields that are not named are 0."""
+
+    register: str
+    fields: Mapping[str, int] = field(hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class SendFrame:
+    """The MainDevice writes a message into its mailbox.
+
+    Without `counter` the next one of 1 to 7 is taken; `same_counter` repeats the last.
+    """
+
+    frame: str
+    fields: Mapping[str, Value] = field(hash=False)
+    same_counter: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """A request that every device answers: shows that the mailbox is alive."""
+
+
+Stimulus: TypeAlias = WriteRegister | SendFrame | Probe
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One test from power-on. `layer` is what it exercises: al, mailbox or sdo.
+
+    `needs` is the AL state that the stimuli before `goal` must have reached for the case to mean
+    something.
+    """
+
+    name: str
+    title: str
+    layer: str
+    stimuli: tuple[Stimulus, ...]
+    needs: str | None = None
+    prelude: int = 0

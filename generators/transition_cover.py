@@ -1,0 +1,106 @@
+"""The only place for the transition cover of the AL state machine: every input in every state.
+
+The states are those that the virtual SubDevice reaches; each case is the shortest way to a state
+and one input more.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import mailbox_settings, request, row
+from ecatspec.generators.case import Case, Stimulus, WriteRegister
+from ecatspec.generators.stimulus import register_bytes
+from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.subdevice import VirtualSubDevice
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.model.compiled import Model
+
+Symbol = tuple[str, tuple[Stimulus, ...]]
+
+
+def symbols(model: Model) -> tuple[Symbol, ...]:
+    """Give the inputs: all values of the requested state, with and without acknowledge; settings."""
+    states = {r.value: r.name for r in model.protocol.tables["al_state"].rows}
+    width = model.protocol.tables["al_state"].width
+    invalid = [value for value in range(1 << width) if value not in states]
+    tried = {**states, **{value: f"value_{value}" for value in (invalid[0], invalid[1], invalid[-1])}}
+    found: list[Symbol] = [("set_up", mailbox_settings(model))]
+    for value, name in tried.items():
+        found.append((f"request_{name}", (request(value),)))
+        found.append((f"acknowledge_{name}", (request(value, acknowledge=True),)))
+    found += [
+        (f"disable_{name}", (WriteRegister(f"{name}_activation", {"enabled": 0}),))
+        for name in SYNC_MANAGERS
+    ]
+    return tuple(found)
+
+
+def wrong_settings(model: Model) -> tuple[Symbol, ...]:
+    """Give mailbox settings that deviate in one point."""
+    smallest = model.parameter("minimal_mailbox")
+    buffered = row(model, "sync_manager_mode", "buffered")
+    found: list[Symbol] = []
+    for name, wrong in zip(SYNC_MANAGERS, ("main_reads", "main_writes"), strict=True):
+        start = model.parameter({0: "mailbox_out", 1: "mailbox_in"}[SYNC_MANAGERS.index(name)], "start")
+        direction = row(model, "sync_manager_direction", wrong)
+        off = mailbox_settings(model, {f"{name}_activation": {"enabled": 0}})
+        found += [
+            (f"{name}_off", off),
+            (f"{name}_buffered", mailbox_settings(model, {name: {"mode": buffered}})),
+            (f"{name}_reversed", mailbox_settings(model, {name: {"direction": direction}})),
+            (f"{name}_empty", mailbox_settings(model, {name: {"length": 0}})),
+            (f"{name}_too_short", mailbox_settings(model, {name: {"length": smallest - 1}})),
+            (f"{name}_moved", mailbox_settings(model, {name: {"start": start + smallest * 2}})),
+        ]
+    return tuple(found)
+
+
+def transition_cover(model: Model) -> Iterator[Case]:
+    """Yield a case for every reachable state and every input, shortest way first."""
+    alphabet = symbols(model)
+    device = VirtualSubDevice(model.protocol)
+    ways: dict[tuple[object, ...], tuple[Symbol, ...]] = {}
+    work: deque[tuple[Symbol, ...]] = deque([()])
+    while work:
+        way = work.popleft()
+        key = _reached(device, model, way)
+        if key in ways:
+            continue
+        ways[key] = way
+        work.extend((*way, symbol) for symbol in alphabet)
+    for way in ways.values():
+        for symbol in alphabet:
+            yield _case(way, symbol)
+    preop = request(row(model, "al_state", "PREOP"))
+    for name, stimuli in wrong_settings(model):
+        yield _case(((name, stimuli),), ("request_PREOP", (preop,)))
+
+
+def _case(way: tuple[Symbol, ...], symbol: Symbol) -> Case:
+    names = [name for name, _ in (*way, symbol)]
+    before = tuple(stimulus for _, stimuli in way for stimulus in stimuli)
+    return Case(
+        f"al/{'/'.join(names)}",
+        f"{symbol[0]} after {', '.join(names[:-1]) or 'power-on'}",
+        "al",
+        (*before, *symbol[1]),
+        prelude=len(before),
+    )
+
+
+def _reached(
+    device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]
+) -> tuple[object, ...]:
+    device.reset()
+    for _, stimuli in way:
+        for stimulus in stimuli:
+            if isinstance(stimulus, WriteRegister):
+                device.write(*register_bytes(model, stimulus))
+    slots = device.state.slots
+    enabled = tuple(device.esc.register(f"{name}_activation") for name in SYNC_MANAGERS)
+    return (slots[model.slots["al.state"]], slots[model.slots["al.error"]], enabled)

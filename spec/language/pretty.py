@@ -1,0 +1,478 @@
+"""The only place for turning IR back into a text that parses to the same IR.
+
+Comments are no part of the IR: this is for showing a specification, not for rewriting files.
+"""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+
+from ecatspec.spec.language.ir import (
+    Anomaly,
+    AnyValue,
+    Area,
+    Binary,
+    Bool,
+    Bytes,
+    Call,
+    Choice,
+    Clause,
+    Close,
+    CodeTable,
+    Condition,
+    Conditional,
+    Definition,
+    Dictionary,
+    Example,
+    Frame,
+    Gap,
+    Give,
+    In,
+    Input,
+    Literal,
+    Machine,
+    Manual,
+    Name,
+    Named,
+    ObjectEntry,
+    OneOf,
+    Parameter,
+    Pin,
+    Range,
+    Register,
+    Remove,
+    Replace,
+    Rule,
+    Send,
+    SetParameter,
+    SInt,
+    SourceText,
+    Text,
+    Time,
+    Type,
+    UInt,
+    Unary,
+)
+from ecatspec.spec.language.parse import MICROSECONDS, TIME_DIGITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from ecatspec.spec.language.ir import Declaration, Expression, FrameField, RegisterField, Update
+
+_Line: TypeAlias = (
+    Clause | Manual | Parameter | SetParameter | ObjectEntry | Dictionary | Pin | Close | Remove
+)
+"""Declarations of one line, which stand under each other without an empty line."""
+
+_WIDTH: Final = 100
+_DECIMAL: Final = 16
+"""Tables whose values are all below are written in decimal."""
+
+# How tightly an operator binds; what binds looser than its place asks for gets parentheses.
+_LOOSEST: Final = 0
+_OR: Final = 1
+_AND: Final = 2
+_NOT: Final = 3
+_COMPARISON: Final = 4
+_SUM: Final = 5
+_PRODUCT: Final = 6
+_PREFIX: Final = 7
+_ATOM: Final = 8
+_BINDING: Final = {"or": _OR, "and": _AND} | dict.fromkeys("+-|&", _SUM) | dict.fromkeys(
+    "*/%", _PRODUCT
+)
+
+
+def pretty(text: SourceText) -> str:
+    """The text as it could have been written, tables in columns, paragraphs in fixed order."""
+    head = f'standard {text.name} "{text.wording}"'
+    if text.extends is not None:
+        head = f'device {text.name} extends {text.extends} "{text.wording}"'
+    blocks = [head]
+    for kind, group in groupby(text.declarations, type):
+        members = list(group)
+        if issubclass(kind, _Line):
+            blocks.append("\n".join(_lines(members)))
+        else:
+            blocks.extend("\n".join(_block(member)) for member in members)
+    return "\n\n".join(blocks) + "\n"
+
+
+# --- expressions ---------------------------------------------------------------------------------
+
+
+def pretty_expression(expression: Expression | Range, place: int = _LOOSEST) -> str:
+    """An expression with no more parentheses than its place asks for."""
+    words, binding = _expression(expression)
+    return words if binding >= place else f"({words})"
+
+
+def _expression(expression: Expression | Range) -> tuple[str, int]:
+    binding = _ATOM
+    match expression:
+        case Literal(value, digits):
+            words = _literal(value, digits)
+        case Name(path):
+            words = path
+        case Unary("not", operand):
+            words, binding = f"not {pretty_expression(operand, _NOT)}", _NOT
+        case Unary(_, operand):
+            words, binding = f"-{pretty_expression(operand, _PREFIX)}", _PREFIX
+        case Binary(operator, left, right):
+            binding = _BINDING.get(operator, _COMPARISON)
+            before = binding + (binding == _COMPARISON)
+            one, other = pretty_expression(left, before), pretty_expression(right, binding + 1)
+            words = f"{one} {operator} {other}"
+        case In(operand, items):
+            words, binding = f"{pretty_expression(operand, _SUM)} in {_set(items)}", _COMPARISON
+        case Conditional(condition, then, otherwise):
+            parts = (pretty_expression(part) for part in (condition, then, otherwise))
+            words, binding = "if {} then {} else {}".format(*parts), _LOOSEST
+        case Call(function, arguments):
+            words = f"{function}({', '.join(map(pretty_expression, arguments))})"
+        case OneOf(items, excluded):
+            words = f"one of {_set(items)}"
+            if excluded is not None:
+                words += f" except {pretty_expression(excluded, _PREFIX)}"
+        case AnyValue():
+            words = "any"
+        case Range(low, high):
+            words = f"{pretty_expression(low)}..{pretty_expression(high)}"
+        case _:
+            assert_never(expression)
+    return words, binding
+
+
+def _literal(value: int, digits: int) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return f"0x{value:0{digits}X}" if digits > 0 else str(value)
+
+
+def _set(items: Iterable[Expression | Range]) -> str:
+    words = ", ".join(map(pretty_expression, items))
+    return f"{{ {words} }}" if words else "{ }"
+
+
+def _chain(expression: Expression, operator: str) -> list[Expression]:
+    match expression:
+        case Binary(own, left, right) if own == operator:
+            return [*_chain(left, operator), right]
+        case _:
+            return [expression]
+
+
+def _paragraph(word: str, expression: Expression) -> list[str]:
+    """A guard; one that is too long for a line is broken at its outermost `and` or `or`."""
+    return _broken(f"  {word:<6} ", "         ", expression)
+
+
+def _broken(start: str, indent: str, expression: Expression) -> list[str]:
+    line = start + pretty_expression(expression)
+    if len(line) <= _WIDTH or not isinstance(expression, Binary):
+        return [line]
+    operator = expression.operator
+    if operator not in {"and", "or"}:
+        return [line]
+    first, *rest = _chain(expression, operator)
+    binding = _BINDING[operator]
+    lines = [start + pretty_expression(first, binding)]
+    return lines + [f"{indent}{operator} {pretty_expression(e, binding + 1)}" for e in rest]
+
+
+# --- small parts ---------------------------------------------------------------------------------
+
+
+def pretty_type(kind: Type) -> str:
+    """A type as it is written after a colon."""
+    match kind:
+        case UInt(width):
+            return f"u{width}"
+        case SInt(width):
+            return f"i{width}"
+        case Bool():
+            return "bool"
+        case Named(table):
+            return table
+        case Bytes(length):
+            return "bytes" if length is None else f"bytes({pretty_expression(length)})"
+        case Text(maximum):
+            return f"text({maximum})"
+        case Area():
+            return "area"
+        case Time():
+            return "time"
+        case _:
+            assert_never(kind)
+
+
+def _ids(clauses: Sequence[str]) -> str:
+    return f"[{', '.join(clauses)}]" if clauses else ""
+
+
+def _parameter_value(value: tuple[Expression, ...], kind: Type | None) -> str:
+    match value:
+        case (Literal(number, digits),) if digits == TIME_DIGITS or isinstance(kind, Time):
+            if not isinstance(number, bool):
+                unit = next(u for u in ("s", "ms", "us") if number % MICROSECONDS[u] == 0)
+                return f"{number // MICROSECONDS[unit]} {unit}"
+        case (start, length):
+            return f"area({pretty_expression(start)}, {pretty_expression(length)})"
+        case _:
+            pass
+    return pretty_expression(value[0])
+
+
+def _columns(rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
+    """Rows of a table, each column as wide as its widest cell."""
+    if not rows:
+        return []
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = (
+        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True) if width)
+        for row in rows
+    )
+    return [f"{indent}{line}".rstrip() for line in lines]
+
+
+def _hex(value: int, digits: int) -> str:
+    return f"0x{value:0{digits}X}"
+
+
+# --- declarations of one line --------------------------------------------------------------------
+
+
+def _lines(members: Sequence[Declaration]) -> list[str]:
+    rows = [_cells(member) for member in members]
+    if isinstance(members[0], ObjectEntry):
+        return ["objects", *_columns(rows, "  ")]
+    if isinstance(members[0], Clause):
+        return ["  ".join(filter(None, row)) for row in _padded(rows)]
+    return _columns(rows)
+
+
+def _padded(rows: Sequence[Sequence[str]]) -> Iterable[Sequence[str]]:
+    """Clauses: ids and levels in columns, the long sentences not."""
+    first, second = (max(len(row[column]) for row in rows) for column in (0, 1))
+    return [(f"{row[0]:<{first}} {row[1]:<{second}} {' '.join(row[2:]).rstrip()}",) for row in rows]
+
+
+def _cells(member: Declaration) -> tuple[str, ...]:
+    match member:
+        case Clause(name, level, wording, source, claims):
+            cited = f"claims {_ids(claims)}" if claims else ""
+            return f"clause {name}", level.value, f'"{wording}"', f'source "{source}"', cited
+        case Manual(file, edition):
+            return f'manual "{file}"', f'"{edition}"'
+        case Parameter(name, kind, value, clauses):
+            word = f": {pretty_type(kind)}"
+            return f"parameter {name}", word, f"= {_parameter_value(value, kind)}", _ids(clauses)
+        case SetParameter(name, value, clauses):
+            return f"parameter {name}", f"= {_parameter_value(value, None)}", _ids(clauses)
+        case ObjectEntry():
+            return _object_cells(member)
+        case Dictionary(closed, clauses):
+            return f"dictionary {'closed' if closed else 'open'}", _ids(clauses)
+        case Pin(choice, alternative, clauses):
+            return f"pin {choice}", f"= {alternative}", _ids(clauses)
+        case Close(table, values, clauses):
+            return f"closed {table} {_set(values)}", _ids(clauses)
+        case Remove(machine, rule, clauses):
+            return f"remove rule {machine}.{rule}", _ids(clauses)
+        case _:
+            raise TypeError(member)
+
+
+def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
+    marks = [word for word in ("constant", "volatile") if getattr(entry, word)]
+    default = entry.default
+    if default is not None:
+        default = f'= "{default}"' if isinstance(default, str) else f"= {default}"
+    return (
+        f"{_hex(entry.index, 4)} : {entry.subindex}",
+        entry.name,
+        pretty_type(entry.type),
+        entry.access.value,
+        " ".join(marks),
+        f"in {{ {', '.join(entry.states)} }}" if entry.states else "",
+        "" if entry.low is None else f"range {entry.low} .. {entry.high}",
+        default or "",
+        _ids(entry.clauses),
+    )
+
+
+# --- declarations of several lines ---------------------------------------------------------------
+
+
+def _block(member: Declaration) -> list[str]:
+    match member:
+        case CodeTable():
+            return _table(member)
+        case Register():
+            return _register(member)
+        case Frame():
+            return _frame(member)
+        case Machine():
+            return _machine(member)
+        case Choice(name, wording, alternatives, clauses):
+            ways = _columns([(f"| {way.name}", f'"{way.wording}"') for way in alternatives], "  ")
+            return [f'choice {name} "{wording}" {_ids(clauses)}', *ways]
+        case Condition(name, wording, assumed, clauses):
+            word = "true" if assumed else "false"
+            return [f'condition {name} "{wording}" assumed {word} {_ids(clauses)}']
+        case Definition(name, wording, value, clauses):
+            lines = _broken("    ", "    ", value)
+            return [f'define {name} "{wording}" =', *lines[:-1], f"{lines[-1]}  {_ids(clauses)}"]
+        case Replace():
+            lines = [f"replace rule {member.machine}.{member.rule} {_ids(member.clauses)}"]
+            return lines + _paragraphs(member)
+        case Anomaly(name, subject, printed, normative, treatment, clauses):
+            return [
+                f"anomaly {name} {subject}",
+                f'  printed   "{printed}"',
+                f'  normative "{normative}"',
+                f'  treatment "{treatment}"  {_ids(clauses)}'.rstrip(),
+            ]
+        case Example(name, request, response, clauses):
+            return [
+                f"example {name} {_ids(clauses)}",
+                f'  request  hex"{request.hex(" ").upper()}"',
+                f'  response hex"{response.hex(" ").upper()}"',
+            ]
+        case _:
+            raise TypeError(member)
+
+
+def _table(table: CodeTable) -> list[str]:
+    decimal = all(row.value < _DECIMAL for row in table.rows)
+    digits = (table.width + 3) // 4
+    rows = [
+        (
+            str(row.value) if decimal else _hex(row.value, digits),
+            row.name,
+            f'"{row.wording}"',
+            _ids(row.clauses),
+        )
+        for row in table.rows
+    ]
+    word = "closed" if table.closed else "open"
+    return [f"table {table.name} u{table.width} {word}", *_columns(rows, "  ")]
+
+
+def _register(register: Register) -> list[str]:
+    head = (
+        f"register {register.name} at {_hex(register.address, 4)} size {register.size}"
+        f" main {register.main} device {register.device} reset {register.reset}"
+        f" {_ids(register.clauses)}"
+    )
+    return [head.rstrip(), *_columns([_register_field(f) for f in register.fields], "  ")]
+
+
+def _register_field(field: RegisterField) -> tuple[str, ...]:
+    shows = ""
+    if field.shows is not None:
+        shows = f"shows {pretty_expression(field.shows.value)}"
+        if field.shows.condition is not None:
+            shows += f" when {pretty_expression(field.shows.condition)}"
+    bits = f"bits {field.low}" + ("" if field.low == field.high else f"..{field.high}")
+    return bits, field.name, f": {pretty_type(field.type)}", shows, _ids(field.clauses)
+
+
+def _frame(frame: Frame) -> list[str]:
+    head = f"frame {frame.name}"
+    if frame.parent is not None:
+        head += f" in {frame.parent} when {_bindings(frame.conditions)}"
+    rows = [_frame_field(field) for field in frame.fields]
+    return [f"{head} {_ids(frame.clauses)}".rstrip(), *_columns(rows, "  ")]
+
+
+def _frame_field(field: FrameField) -> tuple[str, str]:
+    words = [f": {pretty_type(field.type)}"]
+    if field.value is not None:
+        words.append(f"= {pretty_expression(field.value)}")
+    if field.reply is not None:
+        words.append(f"reply {pretty_expression(field.reply)}")
+    if field.into is not None:
+        words.append(f"into {field.into}")
+    return field.name, " ".join(words)
+
+
+def _bindings(bindings: Iterable[tuple[str, Expression]]) -> str:
+    return ", ".join(f"{name} = {pretty_expression(value)}" for name, value in bindings)
+
+
+def _machine(machine: Machine) -> list[str]:
+    states = ", ".join(machine.states)
+    lines = [
+        f'machine {machine.name} "{machine.wording}"',
+        f"  states   {machine.table} {{ {states} }} initial {machine.initial}",
+    ]
+    variables = [
+        (f"variable {v.name}", f": {pretty_type(v.type)}", f"= {pretty_expression(v.initial)}")
+        for v in machine.variables
+    ]
+    lines += _columns(variables, "  ")
+    lines += _columns([_input(item) for item in machine.inputs], "  ")
+    rows: tuple[Rule | Gap, ...] = (*machine.rules, *machine.gaps)
+    for row in sorted(rows, key=lambda row: row.at):
+        lines += ["", *(f"  {line}".rstrip() for line in _rule(row))]
+    return lines
+
+
+def _input(item: Input) -> tuple[str, str]:
+    if item.kind == "event":
+        parameters = ", ".join(f"{name}: {pretty_type(kind)}" for name, kind in item.parameters)
+        return f"input    {item.name}", f"({parameters})"
+    return f"input    {item.name}", f"from {item.kind} {', '.join(item.origin)}"
+
+
+def _rule(row: Rule | Gap) -> list[str]:
+    word = "rule" if isinstance(row, Rule) else "gap"
+    lines = [
+        f"{word} {row.name} {_ids(row.clauses)}".rstrip(),
+        f"  from   {', '.join(row.sources)} on {row.input}",
+    ]
+    if isinstance(row, Rule):
+        return lines + _paragraphs(row)
+    return lines + ([] if row.guard is None else _paragraph("when", row.guard))
+
+
+def _paragraphs(row: Rule | Replace) -> list[str]:
+    """The paragraphs that a rule and its replacement have, in their fixed order."""
+    lines: list[str] = []
+    if row.guard is not None:
+        lines += _paragraph("when", row.guard)
+    if row.target is not None:
+        lines.append(f"  goto   {row.target}")
+    if row.updates:
+        lines += _updates(row.updates)
+    if isinstance(row, Rule):
+        for store in row.stores:
+            parts = (pretty_expression(p) for p in (store.index, store.subindex, store.value))
+            lines.append("  store  {} : {} = {}".format(*parts))
+    lines += [_send(send) for send in row.sends]
+    if isinstance(row, Rule):
+        lines += [_give(give) for give in row.gives]
+    if row.within is not None:
+        lines.append(f"  within {pretty_expression(row.within)}")
+    return lines
+
+
+def _updates(updates: Iterable[Update]) -> list[str]:
+    words = [f"{update.variable} = {pretty_expression(update.value)}" for update in updates]
+    line = f"  set    {', '.join(words)}"
+    return [line] if len(line) <= _WIDTH else ["  set    " + ",\n           ".join(words)]
+
+
+def _send(send: Send) -> str:
+    return f"  send   {send.frame}({_bindings(send.fields)})"
+
+
+def _give(give: Give) -> str:
+    if give.target == "deliver":
+        return "  deliver"
+    return f"  give   {give.target}" + (
+        f"({_bindings(give.arguments)})" if give.arguments else ""
+    )

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 
+SHAPE = {"mailbox_support": "present", "emulation": "none"}
+"""What a run takes for granted: a device with a mailbox and a controller of its own."""
 EXAMPLES = {"quick": 30, "default": 150}
 _ROUNDS = 12
 _STEPS = 6
@@ -47,7 +49,7 @@ class Runner:
         self.session = Session(adapter, model, Oracle(model))
         self.verdicts: list[Verdict] = []
         self.rules: set[RuleName] = set()
-        self.choices: dict[str, str] = {}
+        self.choices: dict[str, str] = dict(SHAPE)
 
     def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases in order; a case of a layer that is not the device's own is skipped."""

@@ -88,6 +88,21 @@ class Codec:
             constants |= {p.name: p.constant for p in self._parts[name] if p.constant is not None}
         return constants
 
+    def place(self, frame: str, field: str) -> tuple[int, int]:
+        """Give bit offset and width of a field in its own layout, which has fixed widths only."""
+        offset = 0
+        for part in self._parts[frame]:
+            if part.width is None:
+                break
+            if part.name == field:
+                return offset, part.width
+            offset += part.width
+        raise KeyError(f"{frame}.{field}")
+
+    def size(self, frame: str) -> int:
+        """Give the bytes of a layout of fixed widths."""
+        return sum(part.width or 0 for part in self._parts[frame]) // 8
+
     # --- bytes to message ---------------------------------------------------------------------------
 
     def decode(self, data: bytes, root: str) -> Message | None:

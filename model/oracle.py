@@ -145,6 +145,15 @@ class Oracle:
             )
         )
 
+    def forget_history(self) -> None:
+        """Keep only the last rules of each history, for runs without end."""
+        self.candidates = {c: history[-4:] for c, history in self.candidates.items()}
+
+    def area(self, name: str) -> tuple[int, int] | None:
+        """Give start and length of a mailbox as far as all candidates agree."""
+        areas = {self._area(candidate.state, name) for candidate in self.candidates}
+        return areas.pop() if len(areas) == 1 else None
+
     def certain_rules(self) -> frozenset[RuleName]:
         """Give the rules that fired in every candidate's history."""
         histories = [set(history) for history in self.candidates.values()]
@@ -371,7 +380,8 @@ class Oracle:
         after = {
             candidate: history
             for candidate, history in before.items()
-            if candidate.loose or not self._alive(candidate) or bool(candidate.outbox) == full
+            if not (full and self._absent(candidate))
+            and (candidate.loose or not self._alive(candidate) or bool(candidate.outbox) == full)
         }
         if after:
             self.candidates = after
@@ -383,14 +393,14 @@ class Oracle:
         )
 
     def _read_empty(self, exchange: Exchange) -> Mismatch | None:
-        area = self._common_area(MAIN_IN)
+        area = self.area(MAIN_IN)
         if area is None or not _covers_end(area, exchange):
             return None
         register = self.model.protocol.registers[f"{MAIN_IN}_status"]
         return self._read_full(register, 0, exchange)
 
     def _read_mailbox(self, exchange: Exchange) -> Mismatch | None:
-        area = self._common_area(MAIN_IN)
+        area = self.area(MAIN_IN)
         if area is None or not _covers_end(area, exchange):
             return None
         data = exchange.data[max(0, area[0] - exchange.address) :]
@@ -398,6 +408,8 @@ class Oracle:
         before = self._expanded(exchange.time)
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in before.items():
+            if message is not None and self._absent(candidate):
+                continue
             if candidate.loose or not self._alive(candidate):
                 after[replace(candidate, outbox=candidate.outbox[1:])] = history
             elif candidate.outbox and message is not None:
@@ -478,6 +490,10 @@ class Oracle:
         alive = self.model.definition("mailbox_alive")
         return alive(Environment(candidate.state.slots, {}, {})) is not False
 
+    def _absent(self, candidate: Candidate) -> bool:
+        absent = self.model.definition("mailbox_absent")
+        return absent(Environment(candidate.state.slots, {}, {})) is True
+
     def _area(self, state: State, name: str) -> tuple[int, int] | None:
         raw = state.slots[self.model.slots[f"register {name}"]]
         if not isinstance(raw, int):
@@ -486,10 +502,6 @@ class Oracle:
         start = field_of(self.model.protocol, name, "start", raw)
         length = field_of(self.model.protocol, name, "length", raw)
         return (start, length) if length else None
-
-    def _common_area(self, name: str) -> tuple[int, int] | None:
-        areas = {self._area(candidate.state, name) for candidate in self.candidates}
-        return areas.pop() if len(areas) == 1 else None
 
     def _mismatch(
         self,

@@ -32,6 +32,7 @@ class VirtualSubDevice:
     def __init__(self, protocol: Protocol, sdo_server: SdoServer | None = None) -> None:
         """Compile the protocol and power on."""
         self.model = Model(protocol, assuming=True)
+        self.model.dictionary.close()
         self._sdo_server = sdo_server
         codec = self.model.codec
         self._request_service = codec.fixed("sdo_request")["service"]
@@ -116,7 +117,8 @@ class VirtualSubDevice:
         taken = step(self.model, self.state, event)[0]
         if taken.unspecified and not _delivered(taken):
             return
-        self.state = taken.state
+        settled = tuple(None if v is None else concrete(v) for v in taken.state.slots)
+        self.state = State(settled, taken.state.objects)
         if self._al_state() != before:
             self._queue.clear()
         if self._sdo_server and message and self._is_sdo(message) and _delivered(taken):

@@ -30,7 +30,11 @@ if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter
 
     Factory = Callable[[str, Mapping[str, str]], Adapter]
-    Opener = Callable[[str, str], Adapter]
+    Opener = Callable[[str, str, float], Adapter]
+
+
+HANG_TIMEOUT: Final = 10.0
+"""Seconds without an answer after which a device counts as hung."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +46,7 @@ class Entry:
     open: Opener
 
 
-def open_adapter(spec: str, device: str) -> Adapter:
+def open_adapter(spec: str, device: str, *, hang_timeout: float = HANG_TIMEOUT) -> Adapter:
     """Open the adapter that `spec` names for the device text `device`, and hear it answer."""
     name, _, rest = spec.partition(":")
     entry = ADAPTERS.get(name)
@@ -51,7 +55,7 @@ def open_adapter(spec: str, device: str) -> Adapter:
         hint = f"did you mean {near[0]!r}? " if near else ""
         message = f"unknown adapter {name!r}; {hint}there are {', '.join(sorted(ADAPTERS))}"
         raise AdapterError(message)
-    adapter = entry.open(rest, device)
+    adapter = entry.open(rest, device, hang_timeout)
     try:
         adapter.describe()
     except DeviceFault as fault:
@@ -88,7 +92,9 @@ def _make(module: str, device: str, options: Mapping[str, str]) -> Adapter:
     return factory(device, options)
 
 
-def _open_hosted(name: str, rest: str, device: str, *, package: str | None = None) -> Adapter:
+def _open_hosted(
+    name: str, rest: str, device: str, hang_timeout: float, *, package: str | None = None
+) -> Adapter:
     options = parse_options(rest)
     if package is not None and importlib.util.find_spec(package) is None:
         message = f'the adapter {name!r} needs a package: pip install "ecatspec[{package}]"'
@@ -96,16 +102,16 @@ def _open_hosted(name: str, rest: str, device: str, *, package: str | None = Non
     arguments = json.dumps({"device": device, "options": options})
     # -P: a file of the user's folder must not stand in for a module.
     host = [sys.executable, "-P", "-m", "ecatspec.conformance.host"]
-    return ProcessAdapter([*host, name, arguments])
+    return ProcessAdapter([*host, name, arguments], hang_timeout=hang_timeout)
 
 
-def _open_command(rest: str, _device: str) -> Adapter:
+def _open_command(rest: str, _device: str, hang_timeout: float) -> Adapter:
     try:
         command = shlex.split(rest)
     except ValueError as error:
         message = f"cannot read the command {rest!r}: {error}"
         raise AdapterError(message) from None
-    return ProcessAdapter(command)
+    return ProcessAdapter(command, hang_timeout=hang_timeout)
 
 
 FACTORIES: Final[Mapping[str, Factory]] = MappingProxyType(

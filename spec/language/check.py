@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
@@ -131,6 +132,36 @@ def check_protocol(protocol: Protocol) -> list[Diagnostic]:
 def _near(name: str, known: Iterable[str], before: str = "; did you mean ") -> str:
     near = difflib.get_close_matches(name, sorted(set(known)), 1, 0.6)
     return f"{before}`{near[0]}`" if near else ""
+
+
+def unused(texts: Sequence[SourceText]) -> list[Diagnostic]:
+    """Clauses that nothing cites and definitions that nothing uses: no error, but a question."""
+    declarations = [declaration for text in texts for declaration in text.declarations]
+    cited = {c for d in declarations for _, clauses, _ in _citations(d) for c in clauses}
+    used = {name for d in declarations for name in _names_used(d)}
+    return [
+        Diagnostic(
+            Code.ECS304,
+            d.at,
+            f"nothing uses {'clause ' + d.id if isinstance(d, Clause) else f'`{d.name}`'}",
+            "cite it or take it away",
+        )
+        for d in declarations
+        if (isinstance(d, Clause) and d.id not in cited)
+        or (isinstance(d, Definition) and d.name not in used)
+    ]
+
+
+def _names_used(node: object) -> Iterator[str]:
+    """All names in the expressions of a declaration, wherever they stand in it."""
+    if isinstance(node, Name):
+        yield node.path
+    elif isinstance(node, tuple):
+        for part in node:
+            yield from _names_used(part)
+    elif is_dataclass(node):
+        for field in fields(node):
+            yield from _names_used(getattr(node, field.name))
 
 
 # --- before the merge ----------------------------------------------------------------------------
@@ -406,9 +437,7 @@ class _Checker:
         if parent is not None and self._protocol.frames[chain[-1]].parent is not None:
             self._note(Code.ECS204, frame.at, f"`{frame.name}` lies in itself", "break the circle")
             return
-        if parent is not None and not (
-            parent.fields and isinstance(parent.fields[-1].type, Bytes)
-        ):
+        if parent is not None and not (parent.fields and isinstance(parent.fields[-1].type, Bytes)):
             self._note(
                 Code.ECS204,
                 frame.at,

@@ -34,6 +34,7 @@ class Code(Enum):
     ECS301 = "two rules of a machine can fire for the same input"
     ECS302 = "a rule can never fire"
     ECS303 = "no rule ever goes to a state"
+    ECS304 = "nothing uses a clause or a definition"
 
     ECS401 = "a device text speaks of something that the standard does not have"
     ECS402 = "a device text changes nothing"

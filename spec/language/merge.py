@@ -49,6 +49,9 @@ if TYPE_CHECKING:
         Update,
     )
 
+_STATEMENTS = (Pin, Close, SetParameter, Replace, Remove, Dictionary)
+
+
 def merge_standard(texts: Sequence[SourceText]) -> Protocol:
     """All declarations of the standard's texts, in the order of the texts."""
     declared = [declaration for text in texts for declaration in text.declarations]
@@ -87,6 +90,8 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
     for close in own_closes(text):
         merge.close(close)
     merge.unclaimed(own.clauses.values())
+    merge.unfounded(text.declarations, standard.clauses | own.clauses)
+    merge.objects(standard.objects, own.objects)
     changed = tuple(d for d in text.declarations if isinstance(d, (Replace, Remove)))
     protocol = Protocol(
         name=text.name,
@@ -178,6 +183,31 @@ class _Merge:
                     clause.at,
                     f"clause {clause.id} names no claim of the manual",
                     "add `claims [...]`",
+                )
+
+    def unfounded(self, declarations: Iterable[Declaration], clauses: Mapping[str, Clause]) -> None:
+        """What changes the standard must go back to a claim, by one of its clauses."""
+        for statement in declarations:
+            if not isinstance(statement, _STATEMENTS):
+                continue
+            if not any(clauses[name].claims for name in statement.clauses if name in clauses):
+                self._find(
+                    Code.ECS404,
+                    statement.at,
+                    "no clause that is cited here names a claim of the manual",
+                    "cite a clause of the device text",
+                )
+
+    def objects(self, standard: Iterable[ObjectEntry], own: Iterable[ObjectEntry]) -> None:
+        """An object of the standard is said again only where it is another one."""
+        known = {replace(entry, clauses=()) for entry in standard}
+        for entry in own:
+            if replace(entry, clauses=()) in known:
+                self._find(
+                    Code.ECS402,
+                    entry.at,
+                    f"object {entry.index:#06x}:{entry.subindex} is the same in the standard",
+                    "take the row away or write what is different",
                 )
 
     def _find(self, code: Code, at: Span, message: str, remedy: str) -> None:
@@ -395,13 +425,13 @@ class _Narrow:
                 )
             case OneOf():
                 items = tuple(item for old in value.items for item in self._item(old))
-                barred = value.excluded and _constant(
-                    value.excluded, self._names, self._table.name
-                )
-                left = [self._constant(item) for item in items]
-                if not items or (barred is not None and left == [barred]):
+                barred = None if value.excluded is None else self._constant(value.excluded)
+                left = {self._constant(item) for item in items} - {None, barred}
+                if not left and not any(self._constant(item) is None for item in items):
                     self.lost.append(value)
-                return replace(value, items=items or value.items)
+                    return value
+                vanished = barred is not None and barred not in self._kept
+                return replace(value, items=items, excluded=None if vanished else value.excluded)
             case Literal() | Name():
                 number = self._constant(value)
                 if number is not None and number not in self._kept:

@@ -155,8 +155,10 @@ def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
 
 def _both(one: _Guard, other: _Guard) -> _Environment | None:
     """Sample values that make both guards true."""
-    samples = {d: one.samples.get(d, set()) | other.samples.get(d, set()) for d in
-               {**one.samples, **other.samples}}  # fmt: skip
+    samples = {
+        d: one.samples.get(d, set()) | other.samples.get(d, set())
+        for d in {**one.samples, **other.samples}
+    }
     samples = _shared(samples, one.pairs | other.pairs)
     return _search([one.test, other.test], samples)
 
@@ -233,8 +235,11 @@ def _possible(environment: _Environment) -> bool:
             if function == first and holds and held.get((second, arguments[:few])) is False:
                 return False
     for group in EXCLUSIVE:
-        true = [arguments for (function, arguments), holds in held.items()
-                if function in group and holds]  # fmt: skip
+        true = [
+            arguments
+            for (function, arguments), holds in held.items()
+            if function in group and holds
+        ]
         if len(true) != len(set(true)):
             return False
     return True
@@ -456,8 +461,12 @@ class _Guard:
                 low, high = self._build(item.low, expected), self._build(item.high, expected)
                 self._related(subject, low)
                 self._related(subject, high)
-                tests.append(_and(_compared(">=", subject.test, low.test),
-                                  _compared("<=", subject.test, high.test)))  # fmt: skip
+                tests.append(
+                    _and(
+                        _compared(">=", subject.test, low.test),
+                        _compared("<=", subject.test, high.test),
+                    )
+                )
             else:
                 single = self._build(item, expected)
                 self._related(subject, single)

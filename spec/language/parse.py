@@ -100,11 +100,29 @@ _WORDS: Final = {
     "MULTIPLY": "* / %",
     "$END": "the end of the text",
 }
-_DECLARATIONS: Final = frozenset({
-    "ANOMALY", "CHOICE", "CLAUSE", "CLOSED", "CONDITION", "DEFINE", "DICTIONARY", "EXAMPLE",
-    "FRAME", "MACHINE", "MANUAL", "OBJECTS", "PARAMETER", "PIN", "REGISTER", "REMOVE", "REPLACE",
-    "TABLE", "$END",
-})  # fmt: skip
+_DECLARATIONS: Final = frozenset(
+    {
+        "ANOMALY",
+        "CHOICE",
+        "CLAUSE",
+        "CLOSED",
+        "CONDITION",
+        "DEFINE",
+        "DICTIONARY",
+        "EXAMPLE",
+        "FRAME",
+        "MACHINE",
+        "MANUAL",
+        "OBJECTS",
+        "PARAMETER",
+        "PIN",
+        "REGISTER",
+        "REMOVE",
+        "REPLACE",
+        "TABLE",
+        "$END",
+    }
+)
 _OPERATORS: Final = frozenset({"COMPARE", "ADD", "MINUS", "MULTIPLY", "AND", "OR", "IN"})
 _FEW: Final = 8
 

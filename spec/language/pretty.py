@@ -80,8 +80,8 @@ _SUM: Final = 5
 _PRODUCT: Final = 6
 _PREFIX: Final = 7
 _ATOM: Final = 8
-_BINDING: Final = {"or": _OR, "and": _AND} | dict.fromkeys("+-|&", _SUM) | dict.fromkeys(
-    "*/%", _PRODUCT
+_BINDING: Final = (
+    {"or": _OR, "and": _AND} | dict.fromkeys("+-|&", _SUM) | dict.fromkeys("*/%", _PRODUCT)
 )
 
 
@@ -473,6 +473,4 @@ def _send(send: Send) -> str:
 def _give(give: Give) -> str:
     if give.target == "deliver":
         return "  deliver"
-    return f"  give   {give.target}" + (
-        f"({_bindings(give.arguments)})" if give.arguments else ""
-    )
+    return f"  give   {give.target}" + (f"({_bindings(give.arguments)})" if give.arguments else "")

@@ -1,0 +1,230 @@
+"""The only place that judges a capture: one oracle for each SubDevice, fed with what was recorded."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ecatspec.conformance.capture import Bits, Capture, WireFormat
+from ecatspec.conformance.devices import load
+from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
+from ecatspec.model.compiled import Model
+from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.interpreter import rule_clauses
+from ecatspec.model.oracle import Exchange, Mismatch, Oracle
+from ecatspec.model.words import message_words, register_words
+from ecatspec.spec.language.ir import Level
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from ecatspec.conformance.capture import Transaction
+    from ecatspec.model.state import RuleName
+
+ROOT = "mailbox"
+_MICROSECONDS = 1_000_000
+_REMEMBERED = 6
+_ETHERNET_ADDRESS = 6
+_VLAN_TAG = 4
+
+
+def wire_format(model: Model) -> WireFormat:
+    """Give the layout of frames on the wire as the texts say it."""
+    codec = model.codec
+
+    def bits(frame: str, name: str) -> Bits:
+        return Bits(*codec.place(frame, name))
+
+    register = model.protocol.registers["station_address"]
+    return WireFormat(
+        ethertype=model.parameter("ether_type"),
+        vlan_ethertype=model.parameter("vlan_type"),
+        vlan_tag_size=_VLAN_TAG,
+        source_mac_offset=_ETHERNET_ADDRESS,
+        source_mac_size=_ETHERNET_ADDRESS,
+        source_mac_returned_bit=model.parameter("returned_source_bit"),
+        ethercat_header_size=codec.size("ethercat_header"),
+        ethercat_length=bits("ethercat_header", "frame_length"),
+        ethercat_type=bits("ethercat_header", "frame_type"),
+        ethercat_type_datagrams=model.parameter("datagram_frame_type"),
+        datagram_header_size=codec.size("datagram_header"),
+        command=bits("datagram_header", "command"),
+        index=bits("datagram_header", "number"),
+        adp=bits("datagram_header", "position"),
+        ado=bits("datagram_header", "offset"),
+        length=bits("datagram_header", "size"),
+        more=bits("datagram_header", "more"),
+        working_counter_size=codec.size("datagram_trailer"),
+        working_counter_read=model.parameter("counter_of_a_read"),
+        working_counter_write=model.parameter("counter_of_a_write"),
+        commands={row.name: row.value for row in model.protocol.tables["datagram_command"].rows},
+        station_address_register=register.address,
+        station_address_size=register.size,
+    )
+
+
+@dataclass(slots=True)
+class Follower:
+    """What is known of one SubDevice of the capture."""
+
+    model: Model
+    oracle: Oracle
+    verdicts: list[Verdict] = field(default_factory=list)
+    rules: set[RuleName] = field(default_factory=set)
+    recent: deque[TraceLine] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    path: list[str] = field(default_factory=list)
+    messages: Counter[str] = field(default_factory=Counter)
+    exchanges: int = 0
+    lost: int = 0
+    _shown: str = ""
+
+    def follow(self, transaction: Transaction) -> None:
+        """Judge one access; after a mismatch go on from what it showed."""
+        if not transaction.confirmed:
+            self.lost += 1
+            self.oracle.unknown(keep=False)
+            return
+        self.exchanges += 1
+        moment = round(transaction.time * _MICROSECONDS)
+        exchange = Exchange(
+            moment,
+            transaction.write,
+            transaction.address,
+            transaction.data,
+            transaction.working_counter if transaction.done else 0,
+            f"frame {transaction.frame}",
+        )
+        self._remember(exchange)
+        mismatch = self.oracle.observe(exchange)
+        self.rules |= self.oracle.certain_rules()
+        if mismatch is not None:
+            self.verdicts.append(self._verdict(mismatch))
+            self.oracle.unknown(keep=True)
+            self.oracle.observe(exchange)
+        else:
+            self.oracle.forget_history()
+
+    def _remember(self, exchange: Exchange) -> None:
+        if not exchange.working_counter:
+            return
+        words = self._words(exchange)
+        if words and words != self._shown:
+            self._shown = words
+            who = "MainDevice" if exchange.write else "SubDevice"
+            self.recent.append(TraceLine(exchange.time, who, f"{words} ({exchange.reference})"))
+
+    def _words(self, exchange: Exchange) -> str:
+        registers = self.model.protocol.registers
+        parts = []
+        for name in ("al_control", "al_status", "al_status_code"):
+            register = registers[name]
+            offset = register.address - exchange.address
+            content = exchange.data[offset : offset + register.size] if offset >= 0 else b""
+            if not content or exchange.write != (name == "al_control"):
+                continue
+            raw = int.from_bytes(content, "little")
+            fields = {
+                bits.name: field_of(self.model.protocol, name, bits.name, raw)
+                for bits in register.fields
+            }
+            parts.append(register_words(self.model, name, fields))
+            if name == "al_status" and (not self.path or not self.path[-1].startswith(parts[-1])):
+                self.path.append(f"{parts[-1]} ({exchange.reference})")
+        start = self.oracle.area(SYNC_MANAGERS[0 if exchange.write else 1])
+        if start is not None and exchange.address == start[0]:
+            message = self.model.codec.decode(exchange.data, ROOT)
+            if message is not None:
+                self.messages[message.frame] += 1
+                parts.append(message_words(self.model, message))
+        return "; ".join(parts)
+
+    def _verdict(self, mismatch: Mismatch) -> Verdict:
+        clauses = self.model.protocol.clauses
+        cited = [clauses[name] for name in mismatch.clauses]
+        blames = any(clause.level is Level.MUST for clause in cited)
+        return Verdict(
+            f"monitor/{mismatch.exchange.reference.replace(' ', '_')}",
+            Outcome.FAIL if blames else Outcome.WARNING,
+            f"{mismatch.subject} at {mismatch.exchange.reference}",
+            "no state that the texts allow explains the observation",
+            mismatch.expected,
+            mismatch.observed,
+            mismatch.clauses,
+            tuple(dict.fromkeys(claim for clause in cited for claim in clause.claims)),
+            tuple(self.recent),
+            mismatch.exchange.reference,
+            mismatch.signature,
+        )
+
+
+def monitor_file(
+    path: Path,
+    device: str,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> tuple[Result, ...]:
+    """Judge every SubDevice of a capture against a device text; one result each."""
+    began = time.monotonic()
+    protocol = load(device)
+    model = Model(protocol)
+    capture = Capture(path, wire_format(model))
+    followers: dict[int, Follower] = {}
+
+    def follower(identity: int) -> Follower:
+        if identity not in followers:
+            oracle = Oracle(model)
+            oracle.unknown()
+            followers[identity] = Follower(model, oracle)
+        return followers[identity]
+
+    for number, transaction in enumerate(capture):
+        if progress is not None and number % 500 == 0:
+            progress(number, 0, f"frame {transaction.frame}")
+        if transaction.device is not None:
+            follower(capture.segment.canonical(transaction.device)).follow(transaction)
+        elif transaction.write or len(followers) == 1 == capture.segment.size:
+            for each in followers.values():
+                each.follow(transaction)
+    seconds = time.monotonic() - began
+    notes = [] if capture.truncated is None else [capture.truncated]
+    return tuple(
+        _result(model, capture.segment.name(identity), path, each, seconds, notes)
+        for identity, each in sorted(followers.items())
+    )
+
+
+def _result(
+    model: Model, name: str, path: Path, follower: Follower, seconds: float, notes: list[str]
+) -> Result:
+    machines = model.protocol.machines.values()
+    rules = [rule for machine in machines for rule in machine.rules]
+    cited = {c for rule in follower.rules for c in rule_clauses(model, rule)}
+    verdicts = list(follower.verdicts)
+    if not verdicts:
+        seen = bool(follower.rules)
+        verdicts.append(
+            Verdict(
+                f"monitor/{name}",
+                Outcome.PASS if seen else Outcome.INCONCLUSIVE,
+                f"SubDevice {name}",
+                "" if seen else "the capture shows nothing that a rule speaks of",
+            )
+        )
+    states = "AL: " + " -> ".join(follower.path)
+    messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
+    lost = f"{follower.lost} writes whose effect was not captured" if follower.lost else ""
+    shown = (f"{follower.exchanges} exchanges", states, f"mailbox: {messages or 'nothing'}", lost)
+    return Result(
+        model.protocol.name,
+        f"{name} in {path.name}",
+        tuple(verdicts),
+        tuple(sorted(str(rule) for rule in follower.rules)),
+        len(rules),
+        tuple(sorted(cited)),
+        len({clause for rule in rules for clause in rule.clauses}),
+        seconds,
+        follower.oracle.choices(),
+        (*filter(None, shown), *notes),
+    )

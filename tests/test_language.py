@@ -1,0 +1,612 @@
+"""The only place for tests of the language: what parses, what is refused and where, what prints."""
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ecatspec.spec.language.check import check_protocol, check_texts, unused
+from ecatspec.spec.language.diagnostics import Code, SpecError
+from ecatspec.spec.language.ir import (
+    Access,
+    Alternative,
+    Anomaly,
+    AnyValue,
+    Area,
+    Binary,
+    Bool,
+    Bytes,
+    Call,
+    Choice,
+    Clause,
+    Close,
+    CodeRow,
+    CodeTable,
+    Condition,
+    Conditional,
+    Definition,
+    Dictionary,
+    Example,
+    Expression,
+    Frame,
+    FrameField,
+    Gap,
+    Give,
+    In,
+    Input,
+    Level,
+    Literal,
+    Machine,
+    Manual,
+    Name,
+    Named,
+    ObjectEntry,
+    OneOf,
+    Parameter,
+    Pin,
+    Range,
+    Register,
+    RegisterField,
+    Remove,
+    Replace,
+    Rule,
+    Send,
+    SetParameter,
+    Shows,
+    SInt,
+    SourceText,
+    Store,
+    Text,
+    Time,
+    Type,
+    UInt,
+    Unary,
+    Update,
+    Variable,
+)
+from ecatspec.spec.language.load import (
+    UnknownDevice,
+    compile_texts,
+    device_names,
+    load_device,
+    load_file,
+    load_standard,
+)
+from ecatspec.spec.language.parse import decode, parse_text
+from ecatspec.spec.language.pretty import pretty, pretty_expression
+from ecatspec.spec.language.scope import (
+    FUNCTIONS,
+    AlternativeRef,
+    ChoiceRef,
+    ConstantRef,
+    ParameterOfInput,
+    ParameterRef,
+    RegisterFieldRef,
+    Scope,
+    StateRef,
+    UnresolvedName,
+    VariableRef,
+    resolve,
+)
+
+ROOT = Path(__file__).resolve().parent.parent
+BAD = ROOT / "tests" / "bad"
+BASE = parse_text((BAD / "base.ecs").read_text("utf-8"), "base.ecs")
+SHIPPED = sorted(
+    path for folder in ("standard", "devices") for path in (ROOT / "spec" / folder).glob("*.ecs")
+)
+MARK = b"# <-- here"
+
+
+def parsed(path: Path) -> SourceText:
+    return parse_text(decode(path.read_bytes(), path.name), path.name)
+
+
+def compiled(source: str) -> SpecError:
+    """The findings of a text on top of the base of the bad examples."""
+    with pytest.raises(SpecError) as caught:
+        compile_texts([BASE, parse_text(source, "text")])
+    return caught.value
+
+
+def codes(error: SpecError) -> list[str]:
+    return [found.code.name for found in error.diagnostics]
+
+
+# --- diagnostics ---------------------------------------------------------------------------------
+
+
+def findings_of(path: Path) -> set[tuple[str, int]]:
+    try:
+        text = parsed(path)
+        compile_texts([BASE, text])
+        found = unused([BASE, text])
+    except SpecError as error:
+        found = list(error.diagnostics)
+    return {(diagnostic.code.name, diagnostic.at.line) for diagnostic in found}
+
+
+@pytest.mark.parametrize("code", [code.name for code in Code])
+def test_bad_example_gives_its_code_where_it_says(code: str) -> None:
+    path = BAD / f"{code}.ecs"
+    lines = path.read_bytes().split(b"\n")
+    marked = {(code, number) for number, line in enumerate(lines, 1) if MARK in line}
+    assert marked
+    assert findings_of(path) == marked
+
+
+def test_every_bad_example_has_a_code() -> None:
+    names = {path.stem for path in BAD.glob("*.ecs")} - {"base"}
+    assert names == {code.name for code in Code}
+
+
+@pytest.mark.parametrize(
+    "code",
+    [code.name for code in Code if code not in {Code.ECS304, Code.ECS403}],
+)
+def test_bad_example_gives_its_code_on_the_shipped_standard(code: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        load_file(BAD / f"{code}.ecs")
+    assert set(codes(caught.value)) == {code}
+
+
+def test_a_finding_prints_place_code_sentence_and_remedy() -> None:
+    with pytest.raises(SpecError) as caught:
+        parse_text('standard a "b"\nparameter size : u8 := 3 [A-01]', "a.ecs")
+    assert str(caught.value) == "a.ecs:2:21: ECS001 `:` is not expected here; write `=`"
+
+
+def test_all_findings_of_a_phase_are_reported() -> None:
+    error = compiled(
+        'standard a "b"\n'
+        'clause A-01 must "a" source "b"\n'
+        "parameter one : u8 = nothing [A-01]\n"
+        "parameter two : u8 = nowhere [A-01]\n"
+    )
+    assert codes(error) == ["ECS101", "ECS101"]
+
+
+def test_a_nul_byte_is_no_text() -> None:
+    with pytest.raises(SpecError) as caught:
+        parse_text('standard a "b"\n \0', "a.ecs")
+    assert codes(caught.value) == ["ECS003"]
+    assert (caught.value.diagnostics[0].at.line, caught.value.diagnostics[0].at.column) == (2, 2)
+
+
+def test_deep_nesting_is_a_finding_and_no_crash() -> None:
+    deep = "(" * 5000 + "1" + ")" * 5000
+    for depth in (deep, "-" * 5000 + "1", "not " * 5000 + "true"):
+        source = f'standard a "b"\nparameter one : u8 = {depth} [A-01]'
+        with contextlib.suppress(SpecError):
+            parse_text(source, "a.ecs")
+
+
+MACHINE = """
+machine extra "a machine"
+  states   al_state { INIT } initial INIT
+  variable count : u8 = 0
+  variable truth : bool = false
+  input    event(number: u8, signed: i8, other: u8, flag: bool)
+"""
+
+
+def rules(*guards: str) -> str:
+    """A standard text with one rule for each guard."""
+    head = 'standard extra "x"\nclause X-01 must "x" source "x"\n' + MACHINE
+    body = [
+        f"\n  rule number_{position} [X-01]\n    from INIT on event\n    when {guard}\n"
+        for position, guard in enumerate(guards)
+    ]
+    return head + "".join(body)
+
+
+@pytest.mark.parametrize(
+    ("guards", "code"),
+    [
+        (("number < 300",), "ECS201"),
+        (("signed == -129",), "ECS201"),
+        (("number in { 7..3 }",), "ECS201"),
+        (("flag == 1",), "ECS202"),
+        (("flag < truth",), "ECS202"),
+        (("number",), "ECS202"),
+        (("not number",), "ECS202"),
+        (("number + flag == 1",), "ECS202"),
+        (("al.state == al.code",), "ECS202"),
+        (("refused_in_op == al.state",), "ECS202"),
+        (("refused_in_op == go",), "ECS101"),
+        (("stay == stay",), "ECS101"),
+        (("nothing(number) == 1",), "ECS101"),
+        (("length(number) == 1",), "ECS203"),
+        (("flag", "truth"), "ECS301"),
+        (("number & 3 == 1", "number & 4 == 4"), "ECS301"),
+        (("number == other", "number != 3"), "ECS301"),
+        (("refused_in_op == stay", "flag"), "ECS301"),
+        (("flag and not flag",), "ECS302"),
+        (("readable_now(1, 2) and not readable(1, 2)",), "ECS302"),
+        (("number > 255",), "ECS302"),
+    ],
+)
+def test_guard_is_refused(guards: tuple[str, ...], code: str) -> None:
+    assert set(codes(compiled(rules(*guards)))) == {code}
+
+
+@pytest.mark.parametrize(
+    "guards",
+    [
+        ("flag", "not flag"),
+        ("number < 7", "number == 7", "number > 7"),
+        ("number in { 1, 3..5 }", "number in { 2, 6..255 }"),
+        ("refused_in_op == stay", "refused_in_op == drop_to_safeop"),
+        ("stay == refused_in_op", "drop_to_safeop == refused_in_op"),
+        ("number == other", "number != other"),
+        ("number & 3 == 1", "number & 3 == 2"),
+        ("if flag then number == 1 else number == 2", "number == 3"),
+        ("too_high(1, 2, value_of(1, 2))", "too_low(1, 2, value_of(1, 2))"),
+        ("al.state == INIT", "al.state == PREOP"),
+    ],
+)
+def test_guards_that_exclude_each_other_are_taken(guards: tuple[str, ...]) -> None:
+    protocol = compile_texts([BASE, parse_text(rules(*guards), "text")])
+    assert len(protocol.machines["extra"].rules) == len(guards)
+
+
+# --- the shipped texts ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_shipped_text_prints_and_parses_to_the_same(path: Path) -> None:
+    text = parsed(path)
+    assert parse_text(pretty(text), path.name) == text
+    assert path.stem in {text.name, path.stem}
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_shipped_text_leaves_no_part_of_the_parser_behind(path: Path) -> None:
+    kinds = {type(leaf) for leaf in leaves(parsed(path))}
+    assert kinds <= {str, int, bool, bytes, type(None), Level, Access}
+
+
+def leaves(node: object) -> Iterator[object]:
+    if dataclasses.is_dataclass(node):
+        for field in dataclasses.fields(node):
+            yield from leaves(getattr(node, field.name))
+    elif isinstance(node, tuple):
+        for part in node:
+            yield from leaves(part)
+    else:
+        yield node
+
+
+def test_shipped_standard_is_without_findings() -> None:
+    texts = [parsed(path) for path in SHIPPED if path.parent.name == "standard"]
+    assert check_texts(texts) == []
+    assert check_protocol(load_standard()) == []
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_shipped_device_is_without_findings(name: str) -> None:
+    load_file(ROOT / "spec" / "devices" / f"{name}.ecs")
+    assert check_protocol(load_device(name)) == []
+    assert load_device(name).name == name
+
+
+def test_unknown_device_names_the_nearest() -> None:
+    with pytest.raises(UnknownDevice, match="did you mean `standard`"):
+        load_device("standart")
+
+
+def test_a_standard_file_takes_the_place_of_the_shipped_text(tmp_path: Path) -> None:
+    shipped = ROOT / "spec" / "standard" / "datagram.ecs"
+    changed = tmp_path / "mine.ecs"
+    changed.write_text(shipped.read_text("utf-8").replace("0x88A4", "0x88A5"), "utf-8")
+    before = load_standard().parameters["ether_type"].value
+    after = load_file(changed).parameters["ether_type"].value
+    assert before == (Literal(0x88A4),)
+    assert after == (Literal(0x88A5),)
+    assert load_file(changed).digest != load_standard().digest
+
+
+# --- device texts --------------------------------------------------------------------------------
+
+DEVICE = 'device mine extends standard "x"\nclause M-01 must "x" source "x" claims [AKD-001]\n'
+
+
+def device(statements: str) -> SourceText:
+    return parse_text(DEVICE + statements, "mine.ecs")
+
+
+def test_a_device_text_pins_sets_replaces_and_removes() -> None:
+    protocol = compile_texts(
+        [
+            BASE,
+            device(
+                "pin refused_in_op = stay [M-01]\n"
+                "parameter preop_timeout = 200 ms [M-01]\n"
+                "replace rule al.to_init [M-01]\n"
+                "  set code = any\n"
+                "remove rule al.init_to_preop [M-01]\n"
+                "replace rule al.unknown_state_refused [M-01]\n"
+                "  goto PREOP\n"
+            ),
+        ]
+    )
+    assert protocol.name == "mine"
+    assert protocol.pins["refused_in_op"].alternative == "stay"
+    assert protocol.parameters["preop_timeout"].value == (Literal(200_000),)
+    assert protocol.parameters["preop_timeout"].clauses == ("M-01", "BASE-01")
+    assert set(protocol.clauses) == {"BASE-01", "M-01"}
+    first, second = protocol.machines["al"].rules
+    assert first.updates == (Update("error", Literal(value=False)), Update("code", AnyValue()))
+    assert first.clauses == ("M-01", "BASE-01")
+    assert first.at.file == "base.ecs"
+    assert second.target == "PREOP"
+    assert [type(change) for change in protocol.replaced] == [Replace, Remove, Replace]
+
+
+def test_a_closed_table_narrows_what_rules_set() -> None:
+    text = device(
+        "replace rule al.unknown_state_refused [M-01]\n"
+        "  set code = one of { 0x0010..0x0020, unknown_requested_state } except 0x0012\n"
+        "closed al_status_code { 0x0000, invalid_requested_state_change } [M-01]\n"
+    )
+    protocol = compile_texts([BASE, text], "mine")
+    table = protocol.tables["al_status_code"]
+    assert table.closed
+    assert [row.value for row in table.rows] == [0x0000, 0x0011]
+    rule = protocol.machines["al"].rules[-1]
+    assert rule.updates[-1].value == OneOf((Literal(0x0011),))
+    assert rule.clauses == ("M-01", "BASE-01")
+
+
+@pytest.mark.parametrize(
+    ("statement", "code"),
+    [
+        ("pin nothing = stay [M-01]", "ECS401"),
+        ("pin refused_in_op = go [M-01]", "ECS401"),
+        ("parameter nothing = 1 [M-01]", "ECS401"),
+        ("replace rule nothing.to_init [M-01] goto INIT", "ECS401"),
+        ("closed nothing { 1 } [M-01]", "ECS401"),
+        ("closed al_status_code { 0x0099 } [M-01]", "ECS401"),
+        ("replace rule al.to_init [M-01] goto INIT", "ECS402"),
+        ("replace rule al.to_init [M-01] set error = false", "ECS402"),
+        ("pin refused_in_op = stay [BASE-01]", "ECS404"),
+        ("objects 0x2000 : 0 a u8 rw = 256 [M-01]", "ECS405"),
+        ('objects 0x2000 : 0 a text(2) rw = "abc" [M-01]', "ECS405"),
+        ("pin refused_in_op = stay [M-01] pin refused_in_op = stay [M-01]", "ECS102"),
+        ('machine al "again" states al_state { INIT } initial INIT', "ECS102"),
+    ],
+)
+def test_device_statement_is_refused(statement: str, code: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        compile_texts([BASE, device(statement)])
+    assert code in codes(caught.value)
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+def test_what_names_stand_for() -> None:
+    protocol = compile_texts([BASE])
+    scope = Scope("al", "request")
+    assert resolve(protocol, "requested", scope) == ParameterOfInput("requested")
+    assert resolve(protocol, "request.requested", scope) == ParameterOfInput("requested")
+    assert resolve(protocol, "error", scope) == VariableRef("al", "error")
+    assert resolve(protocol, "al.error", Scope()) == VariableRef("al", "error")
+    assert resolve(protocol, "state", scope) == StateRef("al")
+    assert resolve(protocol, "al.state", Scope()) == StateRef("al")
+    assert resolve(protocol, "al_control.acknowledge", Scope()) == RegisterFieldRef(
+        "al_control", "acknowledge"
+    )
+    assert resolve(protocol, "mailbox_out.length", scope) == ParameterRef("mailbox_out", "length")
+    assert resolve(protocol, "refused_in_op", scope) == ChoiceRef("refused_in_op")
+    assert resolve(protocol, "stay", scope, ChoiceRef("refused_in_op")) == AlternativeRef(
+        "refused_in_op", "stay"
+    )
+    assert resolve(protocol, "PREOP", scope) == ConstantRef(2, "al_state")
+    assert resolve(protocol, "al_state.OP", scope) == ConstantRef(8, "al_state")
+    for name in ("stay", "nothing", "al.nothing", "al_state.nothing"):
+        with pytest.raises(UnresolvedName):
+            resolve(protocol, name, scope)
+
+
+# --- parse and print -----------------------------------------------------------------------------
+
+names = st.sampled_from(["alpha", "b2", "long_name_of_a_thing", "NAME", "u8x", "kay-d"])
+paths = st.lists(names, min_size=1, max_size=2).map(".".join)
+ids = st.sampled_from(["AL-01", "AKD-120", "A-1-B", "X9-0"])
+some_ids = st.lists(ids, max_size=3).map(tuple)
+one_id = st.lists(ids, min_size=1, max_size=3).map(tuple)
+words = st.text(st.characters(blacklist_characters='"\n\r\0', blacklist_categories=["Cs"]))
+numbers = st.integers(0, 2**32)
+small = st.integers(1, 64)
+literals = st.booleans() | numbers
+atoms: st.SearchStrategy[Expression] = (
+    st.builds(Literal, literals, st.integers(0, 8)).filter(
+        lambda e: not (isinstance(e.value, bool) and e.digits)
+    )
+    | st.builds(Name, paths)
+    | st.builds(AnyValue)
+)
+
+
+WORDS = ("or", "and", "==", "!=", "<=", ">=")
+
+
+def larger(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expression]:
+    items = st.lists(inner | st.builds(Range, inner, inner), min_size=1, max_size=3).map(tuple)
+    operators = [*WORDS, *"<>+-*/%&|"]
+    return (
+        st.builds(Unary, st.sampled_from(["not", "-"]), inner)
+        | st.builds(Binary, st.sampled_from(operators), inner, inner)
+        | st.builds(In, inner, items | st.just(()))
+        | st.builds(Conditional, inner, inner, inner)
+        | st.builds(Call, paths, st.lists(inner, max_size=3).map(tuple))
+        | st.builds(OneOf, items, st.none() | inner)
+    )
+
+
+expressions = st.recursive(atoms, larger, max_leaves=12)
+short = st.recursive(atoms, larger, max_leaves=3)
+optional = st.none() | short
+
+
+T = TypeVar("T")
+
+
+def many(strategy: st.SearchStrategy[T], least: int = 0) -> st.SearchStrategy[tuple[T, ...]]:
+    return st.lists(strategy, min_size=least, max_size=3).map(tuple)
+
+
+plain_types: st.SearchStrategy[Type] = (
+    st.builds(UInt, small) | st.builds(SInt, small) | st.builds(Bool)
+)
+types: st.SearchStrategy[Type] = (
+    plain_types
+    | st.builds(Named, names)
+    | st.builds(Bytes, optional)
+    | st.builds(Text, small)
+    | st.builds(Area)
+    | st.builds(Time)
+)
+bindings = st.tuples(names, short)
+updates = many(st.builds(Update, paths, short))
+sends = many(st.builds(Send, names, many(bindings)))
+values = many(short, 1).map(lambda parts: parts[:2])
+rule = st.builds(
+    Rule,
+    names,
+    some_ids,
+    many(names, 1),
+    names,
+    st.none() | expressions,
+    st.none() | names,
+    updates,
+    many(st.builds(Store, short, short, short)),
+    sends,
+    many(st.builds(Give, paths, many(bindings)) | st.just(Give("deliver"))),
+    optional,
+)
+inputs = st.builds(
+    Input, names, st.sampled_from(["write", "frame"]), many(names, 1), st.just(())
+) | st.builds(Input, names, st.just("event"), st.just(()), many(st.tuples(names, types)))
+ranges = st.none() | st.tuples(st.integers(-99, 99), st.integers(-99, 99))
+
+
+@st.composite
+def entries(draw: st.DrawFn) -> ObjectEntry:
+    limits = draw(ranges)
+    return ObjectEntry(
+        draw(numbers),
+        draw(numbers),
+        draw(names),
+        draw(plain_types | st.builds(Text, small)),
+        draw(st.sampled_from(Access)),
+        constant=draw(st.booleans()),
+        volatile=draw(st.booleans()),
+        states=draw(many(names)),
+        low=None if limits is None else limits[0],
+        high=None if limits is None else limits[1],
+        default=draw(st.none() | st.integers(-99, 2**32) | words),
+        clauses=draw(some_ids),
+    )
+
+
+fields = st.builds(
+    RegisterField,
+    names,
+    numbers,
+    numbers,
+    types,
+    st.none() | st.builds(Shows, short, optional),
+    some_ids,
+)
+declarations = st.one_of(
+    st.builds(Clause, ids, st.sampled_from(Level), words, words, some_ids),
+    st.builds(Manual, words, words),
+    st.builds(
+        CodeTable,
+        names,
+        small,
+        st.booleans(),
+        many(st.builds(CodeRow, numbers, names, words, some_ids)),
+    ),
+    st.builds(Parameter, names, types, values, one_id),
+    st.builds(Parameter, names, st.just(Time()), st.tuples(st.builds(Literal, numbers)), one_id),
+    st.builds(SetParameter, names, st.tuples(st.builds(Literal, numbers, st.just(-1))), one_id),
+    st.builds(SetParameter, names, values, one_id),
+    st.builds(
+        Register,
+        names,
+        numbers,
+        small,
+        st.sampled_from(Access),
+        st.sampled_from(Access),
+        numbers,
+        many(fields),
+        some_ids,
+    ),
+    st.builds(
+        Frame,
+        names,
+        st.none(),
+        st.just(()),
+        many(st.builds(FrameField, names, types, optional, optional, st.none() | paths)),
+        some_ids,
+    ),
+    st.builds(Frame, names, names, many(bindings, 1), st.just(()), some_ids),
+    st.builds(Choice, names, words, many(st.builds(Alternative, names, words), 2), one_id),
+    st.builds(Condition, names, words, st.booleans(), one_id),
+    st.builds(Definition, names, words, expressions, one_id),
+    entries(),
+    st.builds(Pin, names, names, one_id),
+    st.builds(Close, names, many(short, 1), one_id),
+    st.builds(Replace, names, names, one_id, optional, st.none() | names, updates, sends, optional),
+    st.builds(Remove, names, names, one_id),
+    st.builds(Anomaly, ids, names, words, words, words, some_ids),
+    st.builds(Example, names, st.binary(max_size=20), st.binary(max_size=20), one_id),
+    st.builds(Dictionary, st.booleans(), one_id),
+    st.builds(
+        Machine,
+        names,
+        words,
+        names,
+        many(names, 1),
+        names,
+        many(st.builds(Variable, names, types, short)),
+        many(inputs),
+        many(rule),
+        many(st.builds(Gap, names, some_ids, many(names, 1), names, optional)),
+    ),
+)
+texts = st.builds(SourceText, names, words, st.none() | names, many(declarations))
+
+
+@given(expressions)
+def test_expression_prints_and_parses_to_the_same(expression: Expression) -> None:
+    source = f'standard a "b" define c "d" = {pretty_expression(expression)} [A-1]'
+    declaration = parse_text(source, "a").declarations[0]
+    assert isinstance(declaration, Definition)
+    assert declaration.value == expression
+
+
+@given(texts)
+def test_text_prints_and_parses_to_the_same(text: SourceText) -> None:
+    again = parse_text(pretty(text), "a")
+    assert again == text
+    assert pretty(again) == pretty(text)
+
+
+@given(st.text())
+def test_any_text_that_is_none_is_refused_with_a_place(source: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        parse_text(f"{source}\n$", "a")
+    assert all(found.at.line >= 1 for found in caught.value.diagnostics)
+
+
+def test_every_function_says_what_it_tells() -> None:
+    assert all(signature.wording for signature in FUNCTIONS.values())

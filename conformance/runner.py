@@ -155,8 +155,8 @@ class Runner:
     def _death(self, case: Case, death: Exception) -> Verdict:
         trace = tuple(self.session.trace)
         last = next((line.what for line in reversed(trace) if line.who == "MainDevice"), "power-on")
-        due = self.session.oracle.deadline() is not None
-        rules = self.session.oracle.due_rules() if due else ()
+        oracle, attempt = self.session.oracle, self.session.attempt
+        rules = oracle.due_rules() if attempt is None else oracle.attempted(attempt)
         clauses = tuple(dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule)))
         kind = type(death).__name__
         return Verdict(
@@ -170,7 +170,7 @@ class Runner:
             (),
             (*trace, TraceLine(self.session.time, "SubDevice", str(death))),
             f"{self.session.time / 1000:.1f} ms",
-            f"{kind} {' '.join(str(rule) for rule in rules)} {_kind(death)}",
+            f"{kind} {' '.join(sorted(clauses))} {_kind(death)}",
         )
 
     def _inconclusive(self, case: Case, states: frozenset[str]) -> Verdict:

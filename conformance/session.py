@@ -43,6 +43,7 @@ class Session:
     time: int = 0
     trace: list[TraceLine] = field(default_factory=list)
     exchanges: int = 0
+    attempt: Exchange | None = None
     _counter: int = 0
     _shown: dict[str, int] = field(default_factory=dict)
 
@@ -51,6 +52,7 @@ class Session:
         self.adapter.reset()
         self.time = 0
         self.trace = []
+        self.attempt = None
         self._counter = 0
         self._shown = {}
         self.oracle.power_on(choices)
@@ -84,7 +86,7 @@ class Session:
         start, length = self._area(MAIN_OUT)
         limit = self.time + self.model.parameter("request_timeout")
         while not self._write(start, data.ljust(length, b"\0")) and self.time < limit:
-            self._wait(limit // 10 or 1)
+            self._wait(_FIRST_WAIT)
 
     def _area(self, name: str) -> tuple[int, int]:
         parameter = {MAIN_OUT: "mailbox_out", MAIN_IN: "mailbox_in"}[name]
@@ -132,7 +134,9 @@ class Session:
         return raw if counter else 0
 
     def _write(self, address: int, data: bytes) -> int:
+        self.attempt = Exchange(self.time, True, address, data, 1)
         counter = self.adapter.write(address, data)
+        self.attempt = None
         self._observe(Exchange(self.time, True, address, data, counter))
         return counter
 

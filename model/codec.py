@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
 from ecatspec.model.values import Pattern, Value
-from ecatspec.spec.language.ir import Bytes, Frame, FrameField, Name, SInt
+from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Name, SInt
 from ecatspec.spec.language.scope import (
     ConstantRef,
     ParameterOfInput,
@@ -39,6 +39,7 @@ class _Part:
     name: str
     width: int | None
     signed: bool
+    truth: bool
     length: Getter | None
     constant: Value | None
     counts: str | None
@@ -158,7 +159,7 @@ class Codec:
                 value -= 1 << part.width
             if part.constant is not None and value != part.constant:
                 return None
-            fields[part.name] = value
+            fields[part.name] = bool(value) if part.truth else value
             offset += part.width
         return fields if not exact or offset == total else None
 
@@ -206,15 +207,17 @@ class Codec:
         if isinstance(field.type, Bytes):
             expression = field.type.length
             if expression is None:
-                return _Part(field.name, None, False, None, constant, None)
+                return _Part(field.name, None, False, False, None, constant, None)
             own = {item.name for item in frame.fields}
             counts = (
                 expression.path if isinstance(expression, Name) and expression.path in own else None
             )
             getter = compile_expression(expression, self._lookup(frame), {})
-            return _Part(field.name, None, False, getter, constant, counts)
+            return _Part(field.name, None, False, False, getter, constant, counts)
         width = width_of(self._protocol, field.type)
-        return _Part(field.name, width, isinstance(field.type, SInt), None, constant, None)
+        signed = isinstance(field.type, SInt)
+        truth = isinstance(field.type, Bool)
+        return _Part(field.name, width, signed, truth, None, constant, None)
 
     def _lookup(self, frame: Frame, expected: Type | None = None) -> Lookup:
         def lookup(name: Name) -> Getter:

@@ -15,6 +15,7 @@ from ecatspec.spec.language.ir import (
     Access,
     AnyValue,
     Binary,
+    Bool,
     Call,
     Conditional,
     Expression,
@@ -244,10 +245,14 @@ class Model:
         bits = next(item for item in text.fields if item.name == field)
         slot = self.slots[f"register {register}"]
         mask = (1 << (bits.high - bits.low + 1)) - 1
+        truth = isinstance(bits.type, Bool)
 
         def register_field(environment: Environment) -> Value:
             value = environment.slots[slot]
-            return value >> bits.low & mask if isinstance(value, int) else UNKNOWN
+            if not isinstance(value, int):
+                return UNKNOWN
+            content = value >> bits.low & mask
+            return bool(content) if truth else content
 
         return register_field
 

@@ -47,6 +47,7 @@ class ObjectDictionary:
             "range_known": self._of_entry(lambda e, _, __: e.low is not None),
             "size_of": self._of_entry(lambda e, _, __: size_of(e)),
             "value_of": self._of_entry(self._value_of),
+            "fitted": self._of_entry(lambda e, _, a: _cut(a[2], size_of(e))),
             "in_range": self._of_entry(lambda e, _, a: _compare(e, a[2]) == 0),
             "too_high": self._of_entry(lambda e, _, a: _compare(e, a[2]) > 0),
             "too_low": self._of_entry(lambda e, _, a: _compare(e, a[2]) < 0),
@@ -96,6 +97,10 @@ class ObjectDictionary:
             return UNKNOWN
         known = environment.objects.get(key)
         return Pattern(into=key) if known is None else known
+
+
+def _cut(data: Value, size: int) -> Value:
+    return data[:size] if isinstance(data, bytes) else UNKNOWN
 
 
 def _number(value: Value) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ecatspec.spec.language.ir import Access
+from ecatspec.spec.language.ir import Access, Bool
 
 if TYPE_CHECKING:
     from ecatspec.model.compiled import Model
@@ -20,9 +20,10 @@ SYNC_MANAGERS = ("sync_manager_0", "sync_manager_1")
 
 
 def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
-    """Give one field of a register whose content is `raw`."""
+    """Give one field of a register whose content is `raw`, a truth value where the text says so."""
     bits = next(item for item in protocol.registers[register].fields if item.name == field)
-    return raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+    value = raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+    return bool(value) if isinstance(bits.type, Bool) else value
 
 
 def field_mask(protocol: Protocol, register: str, field: str) -> int:

@@ -145,9 +145,17 @@ class Oracle:
             )
         )
 
+    def attempted(self, exchange: Exchange) -> tuple[RuleName, ...]:
+        """Give the rules that were to serve a write during which the device died."""
+        self.observe(exchange)
+        return self.due_rules()
+
     def forget_history(self) -> None:
-        """Keep only the last rules of each history, for runs without end."""
-        self.candidates = {c: history[-4:] for c, history in self.candidates.items()}
+        """Keep only the last rule of each machine in each history, for runs without end."""
+        self.candidates = {
+            candidate: tuple({rule.machine: rule for rule in history}.values())
+            for candidate, history in self.candidates.items()
+        }
 
     def area(self, name: str) -> tuple[int, int] | None:
         """Give start and length of a mailbox as far as all candidates agree."""
@@ -514,7 +522,9 @@ class Oracle:
     ) -> Mismatch:
         rules = dict.fromkeys(output.rule for output in outputs)
         if not rules:
-            rules = dict.fromkeys(history[-1] for history in before.values() if history)
+            machine = ROOT if subject in {"reply", "mailbox write"} else "al"
+            own = ([r for r in h if r.machine == machine] for h in before.values())
+            rules = dict.fromkeys(history[-1] for history in own if history)
         clauses = dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule))
         return Mismatch(
             exchange,
@@ -523,7 +533,7 @@ class Oracle:
             observed,
             tuple(rules),
             tuple(clauses),
-            f"{subject} {' '.join(sorted(str(rule) for rule in rules))}",
+            f"{subject} {' '.join(sorted(clauses))} {observed.partition(':')[0]}",
         )
 
 

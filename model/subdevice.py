@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from ecatspec.model.codec import Message, concrete
 from ecatspec.model.compiled import Model
 from ecatspec.model.dictionary import encode_value
-from ecatspec.model.esc import SYNC_MANAGERS, Esc
+from ecatspec.model.esc import SYNC_MANAGERS, Esc, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import expected_fields, step
 from ecatspec.model.state import Event, Output, State, Step
@@ -96,7 +96,7 @@ class VirtualSubDevice:
         raw = int.from_bytes(self.esc.pdi_read(at.address, at.size), "little")
         self._registers()
         parameters: dict[str, Value] = {
-            field.name: raw >> field.low & ((1 << (field.high - field.low + 1)) - 1)
+            field.name: field_of(self.model.protocol, at.name, field.name, raw)
             for field in at.fields
         }
         self._run(Event("al", "request", parameters))

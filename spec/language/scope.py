@@ -194,6 +194,7 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "too_low": FunctionSignature((*_ENTRY, _DATA), Bool(), "below the range of the entry"),
     "is_plain_variable": FunctionSignature((_INDEX,), Bool(), "the object has subindex 0 only"),
     "count_of": FunctionSignature((_INDEX,), UInt(8), "the highest subindex of the object"),
+    "fitted": FunctionSignature((*_ENTRY, _DATA), _DATA, "the bytes cut to the entry's size"),
     "length": FunctionSignature((_DATA,), UInt(32), "how many bytes there are"),
     "dictionary_closed": FunctionSignature((), Bool(), "only declared objects exist"),
     "identification_answer": FunctionSignature(

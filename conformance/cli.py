@@ -1,0 +1,394 @@
+"""The only place for the command line: commands, exit statuses, and how an error is said.
+
+Status 0: conforms. 1: does not. 2: the input or the set-up is wrong, nothing was judged.
+130: stopped by Ctrl-C. What is judged goes to stdout, all else to stderr.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+import os
+import sys
+import traceback
+from contextlib import contextmanager, suppress
+from io import TextIOWrapper
+from typing import TYPE_CHECKING, Final, NoReturn
+
+import rich_click as click
+
+from ecatspec.spec.language.diagnostics import SpecError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from ecatspec.conformance.devices import Cell, Sheet
+    from ecatspec.conformance.verdict import Result
+    from ecatspec.spec.language.ir import Protocol
+
+    Progress = Callable[[int, int, str], None]
+
+CONFORMS: Final = 0
+DOES_NOT_CONFORM: Final = 1
+WRONG_INPUT: Final = 2
+INTERRUPTED: Final = 130
+
+DEPTHS: Final = ("quick", "default")
+_PIPE_WIDTH: Final = 120
+
+EXAMPLES: Final = {
+    "run": "ecatspec run kollmorgen-akd --dut canopen",
+    "monitor": "ecatspec monitor capture.pcapng --device kollmorgen-akd",
+    "check": "ecatspec check spec/devices/kollmorgen-akd.ecs",
+    "show": "ecatspec show kollmorgen-akd al",
+}
+
+_HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
+
+Exit status: 0 conforms, 1 does not conform, 2 the input or the set-up is wrong.
+
+\b
+Examples:
+""" + "\n".join(f"  {example}" for example in EXAMPLES.values())
+
+click.rich_click.TEXT_MARKUP = None
+
+
+def _example(command: str) -> str:
+    return f"Example: {EXAMPLES[command]}"
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("ecatspec")
+    except importlib.metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:  # noqa: FBT001
+    if wanted and not context.resilient_parsing:
+        _print(f"ecatspec {_version()}\n")
+        context.exit()
+
+
+def _seconds(context: click.Context, parameter: click.Parameter, value: float | None) -> float:
+    from ecatspec.conformance.adapters import HANG_TIMEOUT
+
+    if value is None:
+        return HANG_TIMEOUT
+    if not (math.isfinite(value) and value > 0):
+        message = f"{value} is no number of seconds above 0"
+        raise click.BadParameter(message, context, parameter)
+    return value
+
+
+@click.group(
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help=_HELP,
+)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
+@click.pass_context
+def cli(context: click.Context) -> int:
+    """Every command, and what comes before them all."""
+    if context.invoked_subcommand is None:
+        _print(context.get_help() + "\n")
+        return WRONG_INPUT
+    return CONFORMS
+
+
+@cli.command(epilog=_example("run"))
+@click.argument("device")
+@click.option("--dut", default="model", show_default=True, help="How to reach the device.")
+@click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
+@click.option("--depth", type=click.Choice(DEPTHS), default="default", show_default=True)
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
+@click.option(
+    "--hang-timeout",
+    type=float,
+    callback=_seconds,
+    metavar="SECONDS",
+    help="Without an answer for so long the device counts as hung.",
+)
+def run(*, device: str, dut: str, as_json: bool, depth: str, seed: int, hang_timeout: float) -> int:
+    """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
+
+    The device under test is the virtual SubDevice of the text (--dut model), the SDO server of
+    the package canopen (--dut canopen), or a program (--dut "exec:COMMAND ARGUMENTS").
+    """
+    from ecatspec.conformance.adapter import AdapterError
+    from ecatspec.conformance.devices import load
+
+    protocol = load(device)
+    from ecatspec.conformance.runner import run_device
+
+    try:
+        with _progress() as progress:
+            result = run_device(
+                device, dut, depth=depth, seed=seed, hang_timeout=hang_timeout, progress=progress
+            )
+    except AdapterError as error:
+        said = str(error)
+        _refuse(said if ";" in said else f"{said}; repair the set-up, see ecatspec run --help")
+    return _report((result,), protocol, as_json=as_json)
+
+
+@cli.command(epilog=_example("monitor"))
+@click.argument("file")
+@click.option("--device", default="standard", show_default=True, help="Name or path of a text.")
+@click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
+def monitor(*, file: str, device: str, as_json: bool) -> int:
+    """Judge FILE, a capture (pcap or pcapng) of real traffic, one report for each SubDevice."""
+    from pathlib import Path
+
+    from ecatspec.conformance.capture import CaptureError
+    from ecatspec.conformance.devices import load
+
+    protocol = load(device)
+    if "\0" in file:
+        _refuse(f"{file!a} is no path; give the path of a pcap or pcapng file")
+    from ecatspec.conformance.monitor import monitor_file
+
+    try:
+        with _progress() as progress:
+            results = monitor_file(Path(file), device, progress)
+    except CaptureError as error:
+        _refuse(str(error))
+    # A capture that breaks off was judged as far as it goes; its note starts with its path.
+    for note in dict.fromkeys(note for result in results for note in result.notes):
+        if note.startswith(f"{Path(file)}"):
+            _warn(f"ecatspec: warning: {note}")
+    return _report(results, protocol, as_json=as_json)
+
+
+@cli.command(epilog=_example("check"))
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.option("--json", "as_json", is_flag=True, help="Give the diagnostics as JSON.")
+def check(*, files: tuple[str, ...], as_json: bool) -> int:
+    """Give the diagnostics of texts: file:line:column: ECSnnn what is wrong; what to do."""
+    from ecatspec.conformance.devices import UserError, load
+
+    status = CONFORMS
+    entries: list[dict[str, object]] = []
+    for file in files:
+        entry: dict[str, object] = {"file": file, "ok": False, "diagnostics": []}
+        entries.append(entry)
+        lines: list[str] = []
+        try:
+            protocol = load(file)
+        except SpecError as error:
+            status = WRONG_INPUT
+            lines = [str(diagnostic) for diagnostic in error.diagnostics]
+            entry["diagnostics"] = [
+                {
+                    "code": diagnostic.code.name,
+                    "file": diagnostic.at.file,
+                    "line": diagnostic.at.line,
+                    "column": diagnostic.at.column,
+                    "message": diagnostic.message,
+                    "remedy": diagnostic.remedy,
+                }
+                for diagnostic in error.diagnostics
+            ]
+        except UserError as error:
+            status = WRONG_INPUT
+            entry["error"] = str(error)
+            _warn(f"ecatspec: {error}")
+        else:
+            rules = sum(len(machine.rules) for machine in protocol.machines.values())
+            entry |= {"ok": True, "clauses": len(protocol.clauses), "rules": rules}
+            lines = [f"{file}: ok, {len(protocol.clauses)} clauses, {rules} rules"]
+        if not as_json:
+            _print("".join(f"{line}\n" for line in lines))
+    if as_json:
+        _print_json("ecatspec.check", {"files": entries})
+    return status
+
+
+@cli.command(epilog=_example("show"))
+@click.argument("device")
+@click.argument("machine", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Give the tables as JSON.")
+def show(*, device: str, machine: str | None, as_json: bool) -> int:
+    """Show DEVICE (a name or a path to a .ecs file) as tables, or the rules of one MACHINE."""
+    from ecatspec.conformance.devices import load, machine_sheets, sheets
+
+    protocol = load(device)
+    tables = sheets(protocol) if machine is None else machine_sheets(protocol, machine)
+    if as_json:
+        data: dict[str, object] = {
+            "device": protocol.name,
+            "wording": protocol.wording,
+            "digest": protocol.digest,
+            "tables": [
+                {
+                    "name": table.name,
+                    "title": table.title,
+                    "rows": [dict(zip(table.columns, row, strict=True)) for row in table.rows],
+                }
+                for table in tables
+            ],
+        }
+        _print_json("ecatspec.show", data)
+        return CONFORMS
+    _print(f"{protocol.name}: {protocol.wording}\n" + "".join(map(_table, tables)))
+    return CONFORMS
+
+
+# --- output ---------------------------------------------------------------------------------------
+
+
+def _report(results: Sequence[Result], protocol: Protocol, *, as_json: bool) -> int:
+    """Print the results and give the exit status that they deserve."""
+    from ecatspec.conformance.reports import REPORTS, judged
+    from ecatspec.conformance.verdict import Outcome
+
+    _print(REPORTS["json" if as_json else "text"](results, protocol))
+    if any(result.interrupted for result in results):
+        return INTERRUPTED
+    if not all(result.conforms for result in results):
+        return DOES_NOT_CONFORM
+    troubles = [v for result in results for v in result.verdicts if v.outcome is Outcome.ERROR]
+    if troubles:
+        what = f"the adapter failed in {len(troubles)} cases ({troubles[0].reason})"
+        _refuse(f"{what}; see the report, repair the set-up and run again")
+    if not any(map(judged, results)):
+        _refuse("nothing could be judged; the report says why")
+    return CONFORMS
+
+
+def _cell(cell: Cell) -> str:
+    return ", ".join(cell) if isinstance(cell, tuple) else str(cell)
+
+
+def _table(sheet: Sheet) -> str:
+    """Give a table as text that fits the terminal."""
+    import io
+    import shutil
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    width = shutil.get_terminal_size((_PIPE_WIDTH, 0)).columns
+    out = io.StringIO()
+    console = Console(file=out, width=max(width, 40), color_system=None, legacy_windows=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
+    for position, column in enumerate(sheet.columns):
+        numbers = all(isinstance(row[position], int) for row in sheet.rows)
+        table.add_column(column, overflow="fold", justify="right" if numbers else "left")
+    for row in sheet.rows:
+        table.add_row(*(Text(_cell(cell)) for cell in row))
+    console.print(table)
+    lines = (line.rstrip() for line in out.getvalue().splitlines())
+    return f"\n{sheet.title}\n\n" + "".join(f"{line}\n" for line in lines if line)
+
+
+def _print_json(schema: str, data: dict[str, object]) -> None:
+    data = {"schema": schema, "schema_version": 1, **data}
+    _print(json.dumps(data, indent=2, sort_keys=True) + "\n")
+
+
+def _print(text: str) -> None:
+    """Write to stdout; a reader who has seen enough takes nothing from the exit status."""
+    if sys.stdout is None:  # the caller closed it
+        _refuse("there is no standard output; leave it open or redirect it to a file")
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _silence()
+    except OSError as error:
+        _silence()
+        _refuse(f"cannot write to standard output ({error.strerror}); redirect it elsewhere")
+
+
+def _silence() -> None:
+    # Python flushes stdout once more at its end: give it a place where that succeeds.
+    with suppress(OSError, ValueError):
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, sys.stdout.fileno())
+        os.close(null)
+
+
+def _warn(line: str) -> None:
+    """Write one line to stderr, without signs that a terminal would obey."""
+    words = " ".join(line.split())
+    plain = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
+    with suppress(BrokenPipeError):
+        print(plain, file=sys.stderr, flush=True)
+
+
+def _refuse(message: str) -> NoReturn:
+    from ecatspec.conformance.devices import UserError
+
+    raise UserError(message)
+
+
+@contextmanager
+def _progress() -> Iterator[Progress | None]:
+    """Give a bar on a terminal, which goes away at the end, and nothing elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}", markup=False))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=None)
+
+        def tell(done: int, total: int, what: str) -> None:
+            bar.update(task, completed=done, total=total or None, description=what)
+
+        yield tell
+
+
+# --- the entry ------------------------------------------------------------------------------------
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and give its exit status; every wrong input is one line on stderr."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    given = None if arguments is None else list(arguments)
+    try:
+        return int(cli.main(given, prog_name="ecatspec", standalone_mode=False) or 0)
+    except click.ClickException as error:
+        _warn(_usage(error))
+    except (click.Abort, KeyboardInterrupt):
+        _warn("ecatspec: interrupted")
+        return INTERRUPTED
+    except SpecError as error:
+        for diagnostic in error.diagnostics:
+            _warn(str(diagnostic))
+    except Exception as error:  # noqa: BLE001  no defect of ours may look like a verdict
+        from ecatspec.conformance.devices import UserError
+
+        if not isinstance(error, UserError):
+            traceback.print_exc()
+            name = type(error).__name__
+            error = UserError(f"a defect of ecatspec ({name}); report the lines above")
+        _warn(f"ecatspec: {error}")
+    return WRONG_INPUT
+
+
+def _usage(error: click.ClickException) -> str:
+    what = error.format_message().rstrip().rstrip(".")
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    command = "ecatspec" if context is None else context.command_path
+    return f"ecatspec: {what[:1].lower()}{what[1:]}; see {command} --help"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,42 @@
+"""The only place for the table of reports: the forms in which results can be read.
+
+A report is a file here with `report(results, protocol) -> str` and a row in REPORTS.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import partial
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, cast
+
+from ecatspec.conformance.verdict import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from ecatspec.conformance.verdict import Result
+    from ecatspec.spec.language.ir import Protocol
+
+    Report = Callable[[Sequence[Result], Protocol], str]
+
+
+_JUDGED: Final = frozenset({Outcome.PASS, Outcome.FAIL, Outcome.WARNING, Outcome.CRASH})
+
+
+def judged(result: Result) -> bool:
+    """Tell whether a result says anything about the device; one that does not is no success."""
+    return any(verdict.outcome in _JUDGED for verdict in result.verdicts)
+
+
+def _make(module: str, results: Sequence[Result], protocol: Protocol) -> str:
+    report = cast("Report", importlib.import_module(f"{__name__}.{module}").report)
+    return report(results, protocol)
+
+
+REPORTS: Final[Mapping[str, Report]] = MappingProxyType(
+    {
+        "text": partial(_make, "text"),
+        "json": partial(_make, "json_report"),
+    }
+)

@@ -1,0 +1,530 @@
+"""The only place for the tests of the command line: exit statuses, and what each wrong input says.
+
+The runner and the monitor have tests of their own: here most runs are played.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from typing import TYPE_CHECKING
+
+import pytest
+from click.testing import CliRunner
+
+from ecatspec.conformance import cli, monitor, runner
+from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance.adapters import HANG_TIMEOUT
+from ecatspec.conformance.devices import machine_sheets, sheets
+from ecatspec.conformance.verdict import Outcome, Result, Verdict
+from ecatspec.spec.language.load import device_names, load_device, load_standard
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Call = Callable[..., tuple[int, str, str]]
+
+DEVICE = "kollmorgen-akd"
+COMMAND = [sys.executable, "-P", "-m", "ecatspec.conformance.cli"]
+DEVICE_TEXT = 'device mine extends standard "x"\n'
+
+
+def result(*outcomes: Outcome) -> Result:
+    verdicts = tuple(
+        Verdict(f"case/{number}", outcome, "title", "a reason")
+        for number, outcome in enumerate(outcomes)
+    )
+    return Result(DEVICE, "played", verdicts, (), 3, (), 4, 0.5)
+
+
+@dataclass
+class Played:
+    """Stands for the runner and the monitor, and keeps what they were asked."""
+
+    results: tuple[Result, ...] = (result(Outcome.PASS),)
+    error: BaseException | None = None
+    asked: dict[str, object] = field(default_factory=dict)
+
+    def run_device(
+        self,
+        device: str,
+        dut: str,
+        *,
+        depth: str,
+        seed: int,
+        hang_timeout: float,
+        progress: Callable[[int, int, str], None] | None,
+    ) -> Result:
+        self.asked = {
+            "device": device,
+            "dut": dut,
+            "depth": depth,
+            "seed": seed,
+            "hang_timeout": hang_timeout,
+            "progress": progress,
+        }
+        if self.error is not None:
+            raise self.error
+        return self.results[0]
+
+    def monitor_file(
+        self, path: Path, device: str, progress: Callable[[int, int, str], None] | None
+    ) -> tuple[Result, ...]:
+        self.asked = {"path": str(path), "device": device, "progress": progress}
+        if self.error is not None:
+            raise self.error
+        return self.results
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> Played:
+    stand_in = Played()
+    monkeypatch.setattr(runner, "run_device", stand_in.run_device)
+    monkeypatch.setattr(monitor, "monitor_file", stand_in.monitor_file)
+    return stand_in
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    def run(*arguments: str) -> tuple[int, str, str]:
+        status = cli.main(arguments)
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+# --- help -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", sorted(cli.cli.commands))
+def test_each_command_shows_an_example_that_parses(command: str) -> None:
+    words = cli.EXAMPLES[command].split()
+    shown = CliRunner().invoke(cli.cli, [command, "--help"])
+    assert shown.exit_code == 0
+    assert cli.EXAMPLES[command] in shown.output
+    assert words[:2] == ["ecatspec", command]
+    cli.cli.commands[command].make_context(command, words[2:])
+
+
+def test_the_help_of_all_shows_all_examples() -> None:
+    assert set(cli.EXAMPLES) == set(cli.cli.commands)
+    shown = CliRunner().invoke(cli.cli, ["--help"])
+    assert shown.exit_code == 0
+    assert all(example in shown.output for example in cli.EXAMPLES.values())
+
+
+def test_no_command_is_no_success(call: Call) -> None:
+    status, out, _ = call()
+    assert status == 2
+    assert "Usage: ecatspec" in out
+
+
+def test_version(call: Call) -> None:
+    status, out, err = call("--version")
+    assert (status, err) == (0, "")
+    assert out.startswith("ecatspec ")
+
+
+def test_the_depths_are_those_of_the_runner() -> None:
+    assert set(cli.DEPTHS) == set(runner.EXAMPLES)
+
+
+# --- wrong input: one line on stderr, status 2 ----------------------------------------------------
+
+
+def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
+    status, out, err = outcome
+    assert status == 2
+    assert out == ""
+    assert err.startswith("ecatspec: ")
+    assert err.count("\n") == 1
+    assert err.endswith("\n")
+    assert ";" in err
+    for word in words:
+        assert word in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["bogus"], "bogus"),
+        (["--bogus"], "--bogus"),
+        (["run"], "DEVICE"),
+        (["run", DEVICE, "--bogus"], "--bogus"),
+        (["run", DEVICE, "extra"], "extra"),
+        (["run", DEVICE, "--depth", "deepest"], "deepest"),
+        (["run", DEVICE, "--seed", "x"], "x"),
+        (["run", DEVICE, "--hang-timeout", "0"], "0"),
+        (["run", DEVICE, "--hang-timeout", "nan"], "nan"),
+        (["run", DEVICE, "--hang-timeout", "inf"], "inf"),
+        (["monitor"], "FILE"),
+        (["check"], "FILE"),
+        (["show"], "DEVICE"),
+        (["run", "kolmorgen-akd"], "did you mean `kollmorgen-akd`?"),
+        (["show", "kolmorgen-akd"], "did you mean `kollmorgen-akd`?"),
+        (["monitor", "x.pcap", "--device", "kolmorgen-akd"], "did you mean `kollmorgen-akd`?"),
+        (["show", "nothing-like-it-at-all"], "there are standard, "),
+        (["show", "a\nb"], "a b"),
+        (["show", DEVICE, "all"], "did you mean 'al'?"),
+        (["run", DEVICE, "--dut", "mode"], "did you mean 'model'?"),
+        (["run", DEVICE, "--dut", "exec:/nonexistent/program"], "/nonexistent/program"),
+        (["run", DEVICE, "--dut", "exec:'"], "command"),
+        (["show", "a/b.ecs"], "No such file"),
+        (["run", "a/b.ecs"], "No such file"),
+        (["check", "a/b.ecs"], "No such file"),
+        (["check", "a/b.txt"], "ends in .ecs"),
+        (["check", "a\0.ecs"], "a\\x00.ecs"),
+        (["monitor", "a/b.pcap"], "No such file"),
+        (["monitor", "a\0b.pcap"], "a\\x00b.pcap"),
+    ],
+)
+def test_wrong_arguments(call: Call, arguments: list[str], word: str) -> None:
+    assert_refused(call(*arguments), word)
+
+
+@pytest.mark.parametrize("content", [None, b"", bytes(range(256)) * 20, b"\xd4\xc3\xb2\xa1\x02"])
+def test_wrong_captures(call: Call, tmp_path: Path, content: bytes | None) -> None:
+    file = tmp_path / "capture.pcap"
+    if content is None:
+        file.mkdir()
+    else:
+        file.write_bytes(content)
+    assert_refused(call("monitor", str(file)), str(file))
+
+
+def test_a_folder_is_no_text(call: Call, tmp_path: Path) -> None:
+    folder = tmp_path / "folder.ecs"
+    folder.mkdir()
+    for command in ("check", "show", "run"):
+        assert_refused(call(command, str(folder)), str(folder))
+        assert_refused(call(command, str(tmp_path)), "ends in .ecs")
+
+
+@pytest.mark.parametrize("content", [b"", b"# nothing\n", bytes(range(256)), b"standard", b'"'])
+@pytest.mark.parametrize("command", ["check", "show", "run"])
+def test_wrong_texts_give_diagnostics(
+    call: Call, tmp_path: Path, content: bytes, command: str
+) -> None:
+    file = tmp_path / "bad.ecs"
+    file.write_bytes(content)
+    status, out, err = call(command, str(file))
+    assert status == 2
+    said, silent = (out, err) if command == "check" else (err, out)
+    assert silent == ""
+    assert said
+    assert all(line.startswith(f"{file}:") and " ECS" in line for line in said.splitlines())
+
+
+def test_a_deep_expression_is_no_traceback(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "deep.ecs"
+    deep = "not " * 20_000 + "true"
+    file.write_text(f'{DEVICE_TEXT}define x "x" = {deep} [AL-01]\n', "utf-8")
+    status, _, err = call("check", str(file))
+    assert status == 2
+    assert "Traceback" not in err
+
+
+# --- check ----------------------------------------------------------------------------------------
+
+
+def shipped(tmp_path: Path, name: str) -> Path:
+    file = tmp_path / f"{name}.ecs"
+    text = resources.files("ecatspec.spec").joinpath("devices", f"{name}.ecs")
+    file.write_bytes(text.read_bytes())
+    return file
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_check_accepts_the_shipped_texts(call: Call, tmp_path: Path, name: str) -> None:
+    file = shipped(tmp_path, name)
+    protocol = load_device(name)
+    rules = sum(len(machine.rules) for machine in protocol.machines.values())
+    line = f"{file}: ok, {len(protocol.clauses)} clauses, {rules} rules\n"
+    assert call("check", str(file)) == (0, line, "")
+
+
+def test_check_goes_on_after_a_bad_file(call: Call, tmp_path: Path) -> None:
+    good = shipped(tmp_path, DEVICE)
+    bad = tmp_path / "bad.ecs"
+    bad.write_bytes(b"")
+    status, out, err = call("check", "none.ecs", str(bad), str(good))
+    assert status == 2
+    assert err.count("\n") == 1
+    assert [line.split(":")[0] for line in out.splitlines()] == [str(bad), str(good)]
+
+
+def test_check_as_json(call: Call, tmp_path: Path) -> None:
+    good = shipped(tmp_path, DEVICE)
+    bad = tmp_path / "bad.ecs"
+    bad.write_bytes(b"\xff")
+    status, out, err = call("check", "--json", str(bad), str(good))
+    assert (status, err) == (2, "")
+    first, second = json.loads(out)["files"]
+    assert first["diagnostics"][0]["code"] == "ECS003"
+    assert first["diagnostics"][0]["line"] == 1
+    assert (second["ok"], second["clauses"]) == (True, len(load_device(DEVICE).clauses))
+
+
+# --- show -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["standard", *device_names()])
+def test_show_has_everything_of_a_device(
+    call: Call, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "500")
+    protocol = load_device(name)
+    status, out, err = call("show", name)
+    assert (status, err) == (0, "")
+    words = set(out.replace(",", " ").split())
+    assert set(protocol.registers) <= words
+    assert set(protocol.parameters) <= words
+    assert set(protocol.machines) <= words
+    assert set(protocol.tables) <= words
+    assert set(protocol.choices) <= words
+    assert {pin.alternative for pin in protocol.pins.values()} <= words
+    assert {anomaly.id for anomaly in protocol.anomalies} <= words
+    assert {entry.name for entry in protocol.objects} <= words
+    assert {example.name for example in protocol.examples} <= words
+    assert {row.name for table in protocol.tables.values() for row in table.rows} <= words
+    for table in protocol.tables.values():
+        assert f"code table {table.name} ({'closed' if table.closed else 'open'}" in out
+
+
+@pytest.mark.parametrize("machine", sorted(load_standard().machines))
+def test_show_has_every_rule_of_a_machine(
+    call: Call, monkeypatch: pytest.MonkeyPatch, machine: str
+) -> None:
+    monkeypatch.setenv("COLUMNS", "500")
+    status, out, err = call("show", "standard", machine)
+    assert (status, err) == (0, "")
+    words = set(out.replace(",", " ").split())
+    rules = load_standard().machines[machine].rules
+    assert {rule.name for rule in rules} <= words
+    assert {clause for rule in rules for clause in rule.clauses} <= words
+
+
+def test_show_as_json(call: Call) -> None:
+    protocol = load_device(DEVICE)
+    _, out, _ = call("show", DEVICE, "--json")
+    data = json.loads(out)
+    assert data["digest"] == protocol.digest
+    assert [table["name"] for table in data["tables"]] == [sheet.name for sheet in sheets(protocol)]
+    _, out, _ = call("show", DEVICE, "al", "--json")
+    tables = {table["name"]: table["rows"] for table in json.loads(out)["tables"]}
+    assert len(tables["rules"]) == len(protocol.machines["al"].rules)
+    assert [row["rule"] for row in tables["rules"]] == [
+        rule.name for rule in protocol.machines["al"].rules
+    ]
+
+
+def test_every_row_of_a_sheet_has_all_columns() -> None:
+    protocol = load_device(DEVICE)
+    machines = [sheet for name in protocol.machines for sheet in machine_sheets(protocol, name)]
+    for sheet in (*sheets(protocol), *machines):
+        assert {len(row) for row in sheet.rows} == {len(sheet.columns)}
+
+
+@pytest.mark.parametrize("width", ["1", "20", "80"])
+def test_show_fits_the_terminal(call: Call, monkeypatch: pytest.MonkeyPatch, width: str) -> None:
+    monkeypatch.setenv("COLUMNS", width)
+    status, out, _ = call("show", DEVICE, "mailbox")
+    assert status == 0
+    assert max(map(len, out.splitlines())) <= max(80, int(width))
+
+
+# --- run and monitor ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status"),
+    [
+        ([Outcome.PASS], 0),
+        ([Outcome.PASS, Outcome.SKIPPED, Outcome.INCONCLUSIVE], 0),
+        ([Outcome.WARNING], 0),
+        ([Outcome.PASS, Outcome.FAIL], 1),
+        ([Outcome.CRASH], 1),
+        ([Outcome.FAIL, Outcome.ERROR], 1),
+        ([Outcome.PASS, Outcome.ERROR], 2),
+        ([Outcome.SKIPPED], 2),
+        ([], 2),
+    ],
+)
+def test_exit_statuses(
+    call: Call,
+    played: Played,
+    outcomes: list[Outcome],
+    status: int,
+) -> None:
+    played.results = (result(*outcomes),)
+    for arguments in (["run", DEVICE], ["monitor", "x.pcap"]):
+        code, out, err = call(*arguments)
+        assert code == status
+        assert out.startswith(f"{DEVICE}, tested: played\n")
+        assert err.count("\n") == (1 if status == 2 else 0)
+
+
+def test_an_interrupted_run_shows_what_was_found(call: Call, played: Played) -> None:
+    for outcome in (Outcome.PASS, Outcome.FAIL):
+        played.results = (replace(result(outcome), interrupted=True),)
+        status, out, _ = call("run", DEVICE)
+        assert status == 130
+        assert "interrupted: what was found so far" in out
+
+
+def test_ctrl_c_elsewhere_is_one_line(call: Call, played: Played) -> None:
+    played.error = KeyboardInterrupt()
+    status, out, err = call("monitor", "x.pcap")
+    assert (status, out, err.strip()) == (130, "", "ecatspec: interrupted")
+
+
+def test_a_set_up_that_fails_later_is_one_line(call: Call, played: Played) -> None:
+    played.error = AdapterError("the cable\nis out; plug it in")
+    assert_refused(call("run", DEVICE), "the cable is out; plug it in")
+
+
+def test_a_defect_of_ecatspec_is_no_verdict(call: Call, played: Played) -> None:
+    played.error = ZeroDivisionError()
+    status, out, err = call("run", DEVICE)
+    assert (status, out) == (2, "")
+    assert "a defect of ecatspec (ZeroDivisionError)" in err
+
+
+def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) -> None:
+    call("run", DEVICE)
+    assert played.asked == {
+        "device": DEVICE,
+        "dut": "model",
+        "depth": "default",
+        "seed": 0,
+        "hang_timeout": HANG_TIMEOUT,
+        "progress": None,
+    }
+    file = str(shipped(tmp_path, DEVICE))
+    options = ["--depth", "quick", "--seed", "7", "--hang-timeout", "0.5"]
+    call("run", file, "--dut", "exec:x --y", *options)
+    assert played.asked == {
+        "device": file,
+        "dut": "exec:x --y",
+        "depth": "quick",
+        "seed": 7,
+        "hang_timeout": 0.5,
+        "progress": None,
+    }
+
+
+def test_the_monitor_judges_by_the_standard(call: Call, played: Played) -> None:
+    call("monitor", "x.pcap")
+    assert played.asked == {"path": "x.pcap", "device": "standard", "progress": None}
+
+
+def test_a_capture_that_breaks_off_is_a_warning(call: Call, played: Played) -> None:
+    cut = replace(result(Outcome.PASS), notes=("9 exchanges", "x.pcap, offset 7: ends; again"))
+    played.results = (cut, cut)
+    status, _, err = call("monitor", "x.pcap")
+    assert (status, err) == (0, "ecatspec: warning: x.pcap, offset 7: ends; again\n")
+
+
+def test_one_bad_subdevice_is_enough(call: Call, played: Played) -> None:
+    played.results = (result(Outcome.PASS), result(Outcome.FAIL), result(Outcome.SKIPPED))
+    assert call("monitor", "x.pcap")[0] == 1
+
+
+def test_results_as_json(call: Call, played: Played) -> None:
+    played.results = (result(Outcome.FAIL),)
+    for arguments in (["run", DEVICE, "--json"], ["monitor", "x.pcap", "--json"]):
+        status, out, err = call(*arguments)
+        assert (status, err) == (1, "")
+        assert json.loads(out)["conforms"] is False
+
+
+def test_a_real_capture_is_judged(call: Call, shared: Path, tmp_path: Path) -> None:
+    whole = (shared / "captures" / "soem-single-lan9252.pcapng").read_bytes()
+    cut = tmp_path / "cut.pcapng"
+    cut.write_bytes(whole[: len(whole) // 2])
+    status, out, err = call("monitor", str(cut), "--json")
+    assert status in {0, 1}
+    assert len(json.loads(out)["results"]) == 1
+    assert err.startswith(f"ecatspec: warning: {cut}")
+    cut.write_bytes(whole[:100])
+    assert_refused(call("monitor", str(cut)), str(cut))
+
+
+# --- as a process ---------------------------------------------------------------------------------
+
+
+def process(*arguments: str, **options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env={**os.environ, **options},
+    )
+
+
+def test_the_status_of_the_process() -> None:
+    refused = process("show", "nothing")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert refused.stderr.startswith("ecatspec: no device text is called `nothing`; ")
+    assert process("show", "standard").returncode == 0
+
+
+def test_a_pipe_gets_no_escape_codes() -> None:
+    for arguments in (["--help"], ["show", DEVICE], ["show", "nothing"]):
+        done = process(*arguments, TERM="xterm-256color")
+        assert "\x1b" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("arguments", [["show", DEVICE], ["check", "--json", DEVICE]])
+def test_a_reader_who_goes_away_is_no_error(arguments: list[str]) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run(
+            [*COMMAND, *arguments],
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            check=False,
+            timeout=120,
+        )
+    finally:
+        os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_an_output_that_is_full_is_one_line() -> None:
+    if not os.path.exists("/dev/full"):  # noqa: PTH110  no Path at run time
+        pytest.skip("no /dev/full here")
+    with open("/dev/full", "wb") as full:  # noqa: PTH123  no Path at run time
+        done = subprocess.run(
+            [*COMMAND, "show", DEVICE], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"ecatspec: cannot write to standard output")
+    assert done.stderr.count(b"\n") == 1
+
+
+def test_nothing_heavy_is_imported_for_the_help() -> None:
+    code = """
+        import sys
+        from ecatspec.conformance import cli
+        assert cli.main(["--version"]) == 0
+        heavy = {"lark", "hypothesis", "dpkt", "canopen", "z3", "ecatspec.conformance.runner"}
+        print(sorted(heavy & set(sys.modules)))
+    """
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", textwrap.dedent(code)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,4 +1,4 @@
-"""The only place that judges a capture: one oracle for each SubDevice, fed with what was recorded."""
+"""The only place that judges a capture: one oracle for each SubDevice of it."""
 
 from __future__ import annotations
 

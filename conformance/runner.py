@@ -13,19 +13,19 @@ from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.verdict import BLAMING, Outcome, Result, TraceLine, Verdict
-from ecatspec.generators.case import Case, Probe, Stimulus
 from ecatspec.generators.bringup import way_to
+from ecatspec.generators.case import Case, Probe, Stimulus
 from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.generators.strategies import requests
 from ecatspec.generators.transition_cover import transition_cover
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.oracle import Mismatch, Oracle
-from ecatspec.model.state import RuleName
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.model.state import RuleName
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 
@@ -132,7 +132,7 @@ class Runner:
             return failures[-1]
         return Verdict(name, Outcome.PASS, "random requests")
 
-    # --- verdicts -----------------------------------------------------------------------------------
+    # --- verdicts ---------------------------------------------------------------------------------
 
     def _failure(self, case: Case, mismatch: Mismatch) -> Verdict:
         clauses = self.model.protocol.clauses
@@ -192,7 +192,7 @@ def run_device(
     dut: str,
     *,
     depth: str = "default",
-    seed: int = 0,  # noqa: A002
+    seed: int = 0,
     hang_timeout: float = 10.0,
     progress: Progress | None = None,
 ) -> Result:

@@ -74,7 +74,7 @@ class Session:
                     self._send(upload(entry.index, entry.subindex))
         self._settle()
 
-    # --- mailbox ------------------------------------------------------------------------------------
+    # --- mailbox ----------------------------------------------------------------------------------
 
     def _send(self, stimulus: SendFrame) -> None:
         if not stimulus.same_counter:
@@ -92,7 +92,7 @@ class Session:
         parameter = {MAIN_OUT: "mailbox_out", MAIN_IN: "mailbox_in"}[name]
         return self.model.parameter(parameter, "start"), self.model.parameter(parameter, "length")
 
-    # --- watching -----------------------------------------------------------------------------------
+    # --- watching ---------------------------------------------------------------------------------
 
     def _settle(self) -> None:
         wait = _FIRST_WAIT
@@ -115,7 +115,7 @@ class Session:
             message = self.model.codec.decode(data, ROOT) if counter else None
             words = "no message" if message is None else message_words(self.model, message)
             self._say("SubDevice", f"answers {words}")
-            self._observe(Exchange(self.time, False, start, data, counter))
+            self._observe(self._exchange(start, data, counter))
 
     def _read_register(self, name: str) -> int:
         register = self.model.protocol.registers[name]
@@ -130,15 +130,20 @@ class Session:
                     for view in self.model.views[name]
                 }
                 self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
-        self._observe(Exchange(self.time, False, register.address, data, counter))
+        self._observe(self._exchange(register.address, data, counter))
         return raw if counter else 0
 
     def _write(self, address: int, data: bytes) -> int:
-        self.attempt = Exchange(self.time, True, address, data, 1)
+        self.attempt = self._exchange(address, data, 1, write=True)
         counter = self.adapter.write(address, data)
         self.attempt = None
-        self._observe(Exchange(self.time, True, address, data, counter))
+        self._observe(self._exchange(address, data, counter, write=True))
         return counter
+
+    def _exchange(
+        self, address: int, data: bytes, counter: int, *, write: bool = False
+    ) -> Exchange:
+        return Exchange(self.time, write, address, data, counter)
 
     def _observe(self, exchange: Exchange) -> None:
         self.exchanges += 1

@@ -9,7 +9,7 @@ from enum import StrEnum
 class Outcome(StrEnum):
     """How a case ended. `error` is trouble of the adapter, `crash` the death of the device."""
 
-    PASS = "pass"  # noqa: S105
+    PASS = "pass"
     FAIL = "fail"
     WARNING = "warning"
     INCONCLUSIVE = "inconclusive"

@@ -1,4 +1,4 @@
-"""The only place for the cover of mailbox and SDO rules: every entry, every refusal, every oddity."""
+"""The only place for the cover of mailbox and SDO rules: every entry, refusal and oddity."""
 
 from __future__ import annotations
 
@@ -66,16 +66,22 @@ def sdo_cover(model: Model) -> Iterator[Case]:
 def _downloads(model: Model, entry: ObjectEntry) -> Iterator[Case]:
     name, value = _name(entry), sample(entry)
     if entry.access in {Access.READ, Access.NONE}:
-        yield _case(model, f"write_read_only/{name}", "write to a read-only entry", [_write(entry, value)])
+        yield _case(
+            model, f"write_read_only/{name}", "write to a read-only entry", [_write(entry, value)]
+        )
         return
     back = [] if entry.access is Access.WRITE else [_upload(entry)]
     state = entry.states[0] if entry.states else "PREOP"
-    yield _case(model, f"download/{name}", "write and read back", [_write(entry, value), *back], state)
+    yield _case(
+        model, f"download/{name}", "write and read back", [_write(entry, value), *back], state
+    )
     for size in range(1, EXPEDITED + 1):
         if size != size_of(entry):
             wrong = value[:size].ljust(size, b"\0")
             stimuli = [_write(entry, wrong), *back]
-            yield _case(model, f"download_{size}_bytes/{name}", f"write {size} bytes", stimuli, state)
+            yield _case(
+                model, f"download_{size}_bytes/{name}", f"write {size} bytes", stimuli, state
+            )
     unsized = download(entry.index, entry.subindex, value, sized=False)
     yield _case(model, f"download_unsized/{name}", "write without size", [unsized, *back], state)
     for other in WAY_UP[1:]:
@@ -103,12 +109,19 @@ def _missing(model: Model) -> Iterator[Case]:
                 ("upload", upload(index, 0)),
                 ("download", download(index, 0, b"\1")),
             ):
-                yield _case(model, f"no_object/{kind}/{index:04X}", f"{kind} of a missing object", [stimulus])
+                yield _case(
+                    model,
+                    f"no_object/{kind}/{index:04X}",
+                    f"{kind} of a missing object",
+                    [stimulus],
+                )
     for index, last in highest.items():
         for subindex in (last + 1, _LAST_SUBINDEX):
             name = f"{index:04X}_{subindex:02X}"
             title = "of a missing subindex"
-            yield _case(model, f"no_subindex/upload/{name}", f"upload {title}", [upload(index, subindex)])
+            yield _case(
+                model, f"no_subindex/upload/{name}", f"upload {title}", [upload(index, subindex)]
+            )
         stimulus = download(index, last + 1, b"\1")
         yield _case(model, f"no_subindex/download/{index:04X}", f"download {title}", [stimulus])
 
@@ -116,9 +129,13 @@ def _missing(model: Model) -> Iterator[Case]:
 def _complete(model: Model, entries: list[ObjectEntry]) -> Iterator[Case]:
     for entry in entries[:1]:
         stimuli: list[Stimulus] = [upload(entry.index, entry.subindex, complete=True)]
-        yield _case(model, f"complete_upload/{_name(entry)}", "upload with complete access", stimuli)
+        yield _case(
+            model, f"complete_upload/{_name(entry)}", "upload with complete access", stimuli
+        )
         stimuli = [download(entry.index, entry.subindex, sample(entry), complete=True)]
-        yield _case(model, f"complete_download/{_name(entry)}", "download with complete access", stimuli)
+        yield _case(
+            model, f"complete_download/{_name(entry)}", "download with complete access", stimuli
+        )
 
 
 def _odd_commands(model: Model) -> Iterator[Case]:
@@ -132,7 +149,9 @@ def _odd_commands(model: Model) -> Iterator[Case]:
     for service in range(1 << model.protocol.tables["coe_service"].width):
         if service not in services:
             odd = SendFrame("coe", {"service": service, "body": bytes(8)})
-            yield _case(model, f"unknown_service/{service}", "unknown CoE service", [odd], layer="mailbox")
+            yield _case(
+                model, f"unknown_service/{service}", "unknown CoE service", [odd], layer="mailbox"
+            )
 
 
 def _mailbox(model: Model) -> Iterator[Case]:
@@ -140,7 +159,9 @@ def _mailbox(model: Model) -> Iterator[Case]:
     for kind in range(1 << model.protocol.tables["mailbox_type"].width):
         if kind not in types:
             odd = SendFrame("mailbox", {"type": kind, "payload": bytes(8)})
-            yield _case(model, f"unknown_type/{kind}", "unknown mailbox type", [odd], layer="mailbox")
+            yield _case(
+                model, f"unknown_type/{kind}", "unknown mailbox type", [odd], layer="mailbox"
+            )
     known = probe_entry(model)
     if known is None:
         return
@@ -159,7 +180,11 @@ def _mailbox(model: Model) -> Iterator[Case]:
 def probe_entry(model: Model) -> ObjectEntry | None:
     """Give the first entry that can be read expedited in any state."""
     for entry in model.protocol.objects:
-        if entry.access is not Access.WRITE and not entry.states and 1 <= size_of(entry) <= EXPEDITED:
+        if (
+            entry.access is not Access.WRITE
+            and not entry.states
+            and 1 <= size_of(entry) <= EXPEDITED
+        ):
             return entry
     return None
 
@@ -187,5 +212,3 @@ def _write(entry: ObjectEntry, value: bytes) -> Stimulus:
 
 def _name(entry: ObjectEntry) -> str:
     return f"{entry.index:04X}_{entry.subindex:02X}"
-
-

@@ -38,9 +38,7 @@ def commands(model: Model) -> st.SearchStrategy[SendFrame]:
     """Draw SDO requests with any command specifier and any content."""
     width = model.protocol.tables["client_command"].width
     drawn = st.tuples(st.integers(0, (1 << width) - 1), st.binary(min_size=7, max_size=7))
-    return drawn.map(
-        lambda pair: SendFrame("sdo_request", {"command": pair[0], "rest": pair[1]})
-    )
+    return drawn.map(lambda pair: SendFrame("sdo_request", {"command": pair[0], "rest": pair[1]}))
 
 
 def requests(model: Model, steps: int) -> st.SearchStrategy[list[Stimulus]]:

@@ -24,11 +24,14 @@ Symbol = tuple[str, tuple[Stimulus, ...]]
 
 
 def symbols(model: Model) -> tuple[Symbol, ...]:
-    """Give the inputs: all values of the requested state, with and without acknowledge; settings."""
+    """Give the inputs: all requested values with and without acknowledge, and settings."""
     states = {r.value: r.name for r in model.protocol.tables["al_state"].rows}
     width = model.protocol.tables["al_state"].width
     invalid = [value for value in range(1 << width) if value not in states]
-    tried = {**states, **{value: f"value_{value}" for value in (invalid[0], invalid[1], invalid[-1])}}
+    tried = {
+        **states,
+        **{value: f"value_{value}" for value in (invalid[0], invalid[1], invalid[-1])},
+    }
     found: list[Symbol] = [("set_up", mailbox_settings(model))]
     for value, name in tried.items():
         found.append((f"request_{name}", (request(value),)))
@@ -46,7 +49,9 @@ def wrong_settings(model: Model) -> tuple[Symbol, ...]:
     buffered = row(model, "sync_manager_mode", "buffered")
     found: list[Symbol] = []
     for name, wrong in zip(SYNC_MANAGERS, ("main_reads", "main_writes"), strict=True):
-        start = model.parameter({0: "mailbox_out", 1: "mailbox_in"}[SYNC_MANAGERS.index(name)], "start")
+        start = model.parameter(
+            {0: "mailbox_out", 1: "mailbox_in"}[SYNC_MANAGERS.index(name)], "start"
+        )
         direction = row(model, "sync_manager_direction", wrong)
         off = mailbox_settings(model, {f"{name}_activation": {"enabled": 0}})
         found += [
@@ -93,9 +98,7 @@ def _case(way: tuple[Symbol, ...], symbol: Symbol) -> Case:
     )
 
 
-def _reached(
-    device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]
-) -> tuple[object, ...]:
+def _reached(device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]) -> tuple[object, ...]:
     device.reset()
     for _, stimuli in way:
         for stimulus in stimuli:

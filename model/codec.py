@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,6 +18,8 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ecatspec.spec.language.ir import Expression, Protocol, Type
 
 
@@ -37,12 +38,12 @@ class Message:
 @dataclass(frozen=True, slots=True)
 class _Part:
     name: str
-    width: int | None
-    signed: bool
-    truth: bool
-    length: Getter | None
-    constant: Value | None
-    counts: str | None
+    width: int | None = None
+    signed: bool = False
+    truth: bool = False
+    length: Getter | None = None
+    constant: Value | None = None
+    counts: str | None = None
 
 
 class Codec:
@@ -77,9 +78,7 @@ class Codec:
 
     def is_derived(self, frame: str, field: str) -> bool:
         """Tell whether the encoder computes the field: a length of what follows."""
-        return any(
-            part.counts == field for name in self.trail(frame) for part in self._parts[name]
-        )
+        return any(part.counts == field for name in self.trail(frame) for part in self._parts[name])
 
     def fixed(self, frame: str) -> dict[str, Value]:
         """Give the fields that have constants: own ones and those that place the frame."""
@@ -104,7 +103,7 @@ class Codec:
         """Give the bytes of a layout of fixed widths."""
         return sum(part.width or 0 for part in self._parts[frame]) // 8
 
-    # --- bytes to message ---------------------------------------------------------------------------
+    # --- bytes to message -------------------------------------------------------------------------
 
     def decode(self, data: bytes, root: str) -> Message | None:
         """Decode `data`, which starts with the layout `root`; None when not even that fits.
@@ -163,7 +162,7 @@ class Codec:
             offset += part.width
         return fields if not exact or offset == total else None
 
-    # --- message to bytes ---------------------------------------------------------------------------
+    # --- message to bytes -------------------------------------------------------------------------
 
     def encode(self, frame: str, fields: Mapping[str, Value]) -> bytes:
         """Encode; a field not given is its constant, a count of what follows, or 0."""
@@ -197,7 +196,7 @@ class Codec:
                 offset += part.width
         return bits.to_bytes((offset + 7) // 8, "little")
 
-    # --- preparation --------------------------------------------------------------------------------
+    # --- preparation ------------------------------------------------------------------------------
 
     def _layout(self, frame: Frame) -> tuple[_Part, ...]:
         return tuple(self._part(frame, field) for field in frame.fields)
@@ -207,17 +206,17 @@ class Codec:
         if isinstance(field.type, Bytes):
             expression = field.type.length
             if expression is None:
-                return _Part(field.name, None, False, False, None, constant, None)
+                return _Part(field.name, constant=constant)
             own = {item.name for item in frame.fields}
             counts = (
                 expression.path if isinstance(expression, Name) and expression.path in own else None
             )
             getter = compile_expression(expression, self._lookup(frame), {})
-            return _Part(field.name, None, False, False, getter, constant, counts)
+            return _Part(field.name, length=getter, constant=constant, counts=counts)
         width = width_of(self._protocol, field.type)
         signed = isinstance(field.type, SInt)
         truth = isinstance(field.type, Bool)
-        return _Part(field.name, width, signed, truth, None, constant, None)
+        return _Part(field.name, width, signed=signed, truth=truth, constant=constant)
 
     def _lookup(self, frame: Frame, expected: Type | None = None) -> Lookup:
         def lookup(name: Name) -> Getter:

@@ -1,4 +1,4 @@
-"""The only place where a protocol becomes something that runs: slots, rules and views as functions."""
+"""The only place where a protocol becomes something that runs: slots, rules, views."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
-    from ecatspec.spec.language.ir import Protocol, Register
+    from ecatspec.spec.language.ir import Machine, Protocol, Register
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class View:
 
 
 class Model:
-    """One protocol, compiled. `assuming` makes conditions as assumed and choices first or pinned."""
+    """One protocol, compiled. `assuming`: conditions as assumed, choices first or pinned."""
 
     def __init__(self, protocol: Protocol, *, assuming: bool = False) -> None:
         """Compile every rule, view and layout of the protocol."""
@@ -98,16 +98,15 @@ class Model:
         self.rules: dict[tuple[str, str], tuple[CompiledRule, ...]] = {}
         for machine in protocol.machines.values():
             for source in machine.inputs:
-                rules = [
-                    self._rule(machine.name, rule)
-                    for rule in (*machine.rules, *machine.gaps)
-                    if rule.input == source.name
-                ]
-                self.rules[machine.name, source.name] = tuple(rules)
+                self.rules[machine.name, source.name] = tuple(
+                    self._rule(machine.name, row)
+                    for row in rows_of(machine)
+                    if row.input == source.name
+                )
         self.views = {r.name: self._views(r) for r in protocol.registers.values()}
         self.replies = {name: self._reply_fields(name) for name in protocol.frames}
 
-    # --- names of slots -----------------------------------------------------------------------------
+    # --- names of slots ---------------------------------------------------------------------------
 
     def _initial(self) -> list[tuple[str, Value | None]]:
         protocol = self.protocol
@@ -126,9 +125,11 @@ class Model:
             if decided is None and self.assuming:
                 decided = choice.alternatives[0].name
             found.append((f"choice {choice.name}", decided))
-        for register in protocol.registers.values():
-            if register.main is Access.BOTH:
-                found.append((f"register {register.name}", register.reset))
+        found += [
+            (f"register {register.name}", register.reset)
+            for register in protocol.registers.values()
+            if register.main is Access.BOTH
+        ]
         return found
 
     def slot(self, ref: Ref) -> int:
@@ -179,7 +180,7 @@ class Model:
         value = environment.slots[self._al_state_slot]
         return UNKNOWN if value is None else value
 
-    # --- compilation --------------------------------------------------------------------------------
+    # --- compilation ------------------------------------------------------------------------------
 
     def expression(self, expression: Expression, scope: Scope, expected: Type | None) -> Getter:
         """Compile an expression that stands in `scope` where a value of `expected` is wanted."""
@@ -287,7 +288,9 @@ class Model:
                 )
                 for store in rule.stores
             ),
-            tuple((send.frame, self._bindings(send.frame, send.fields, scope)) for send in rule.sends),
+            tuple(
+                (send.frame, self._bindings(send.frame, send.fields, scope)) for send in rule.sends
+            ),
             tuple(
                 (
                     give.target,
@@ -340,6 +343,11 @@ class Model:
 
 def _present(value: Value | None) -> Value:
     return UNKNOWN if value is None else value
+
+
+def rows_of(machine: Machine) -> tuple[Rule | Gap, ...]:
+    """Give the rules and the gaps of a machine."""
+    return (*machine.rules, *machine.gaps)
 
 
 def name_hints(protocol: Protocol, expression: Expression, scope: Scope) -> dict[int, Kind]:

@@ -1,7 +1,8 @@
-"""The only place for the memory of an ESC: registers, AL Control lock, mailbox SyncManagers, events.
+"""The only place for the memory of an ESC: registers, AL Control lock, mailboxes, events.
 
 Both sides see it: the MainDevice through `main_read` and `main_write` with a working counter, the
-device through the hooks `pdi_read`, `pdi_write` and `al_event`. Addresses and bits come from the texts.
+device through the hooks `pdi_read`, `pdi_write` and `al_event`. Addresses and bits come
+from the texts.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ class Esc:
         for register in protocol.registers.values():
             self.set_register(register.name, register.reset)
 
-    # --- registers by name --------------------------------------------------------------------------
+    # --- registers by name ------------------------------------------------------------------------
 
     def register(self, name: str) -> int:
         """Give the raw content of a register."""
@@ -84,7 +85,7 @@ class Esc:
         at = self._protocol.registers[name]
         self._memory[at.address : at.address + at.size] = raw.to_bytes(at.size, "little")
 
-    # --- the side of the MainDevice -----------------------------------------------------------------
+    # --- the side of the MainDevice ---------------------------------------------------------------
 
     def main_read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice: working counter and bytes (zeros where it is refused)."""
@@ -164,7 +165,7 @@ class Esc:
         raw = self.register(status)
         self.set_register(status, raw | mask if full else raw & ~mask)
 
-    # --- the side of the device ---------------------------------------------------------------------
+    # --- the side of the device -------------------------------------------------------------------
 
     def al_event(self) -> int:
         """Give the AL event request: what happened since the device looked."""

@@ -7,8 +7,7 @@ is false. Unknown is `UNKNOWN`; a guard that is unknown may hold or not.
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
-from typing import TypeAlias, assert_never
+from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from ecatspec.model.values import UNKNOWN, Pattern, Value
 from ecatspec.spec.language.ir import (
@@ -24,6 +23,9 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
 
 Getter: TypeAlias = "Callable[[Environment], Value]"
 Lookup: TypeAlias = "Callable[[Name], Getter]"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from ecatspec.model.compiled import rows_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.state import Event, Output, RuleName, State, Step
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import CompiledRule, Model
 
@@ -30,7 +32,9 @@ def step(model: Model, state: State, event: Event) -> tuple[Step, ...]:
 def _complete(model: Model, partial: Step, given: tuple[Event, ...]) -> list[Step]:
     done = [partial]
     for event in given:
-        done = [_joined(before, after) for before in done for after in step(model, before.state, event)]
+        done = [
+            _joined(before, after) for before in done for after in step(model, before.state, event)
+        ]
     return done
 
 
@@ -107,13 +111,13 @@ def _apply(
         if isinstance(index, int) and isinstance(subindex, int) and isinstance(content, bytes):
             after = after.keeping((index, subindex), content)
     limit = within if isinstance(within, int) else 0
-    events = tuple(e for target, arguments in given for e in _given(model, event, target, arguments))
+    events = tuple(
+        e for target, arguments in given for e in _given(model, event, target, arguments)
+    )
     return [(Step(after, (rule.name,), outputs, limit), events)]
 
 
-def _given(
-    model: Model, event: Event, target: str, arguments: Mapping[str, Value]
-) -> list[Event]:
+def _given(model: Model, event: Event, target: str, arguments: Mapping[str, Value]) -> list[Event]:
     if target != DELIVER:
         machine, _, name = target.partition(".")
         return [Event(machine, name, arguments)]
@@ -128,13 +132,13 @@ def _given(
 
 
 def _forget(model: Model, state: State, machine: str) -> State:
-    """Give the state after behaviour that no text describes: the machine's variables are unknown."""
+    """Give the state after what no text describes: the machine's variables are unknown."""
     for variable in model.protocol.machines[machine].variables:
         state = state.having(model.slots[f"{machine}.{variable.name}"], UNKNOWN)
     return state
 
 
-# --- observations -----------------------------------------------------------------------------------
+# --- observations ---
 
 
 def matches(model: Model, state: State, output: Output, message: Message) -> list[State]:
@@ -180,8 +184,7 @@ def expected_fields(model: Model, state: State, output: Output) -> dict[str, Val
 
 def rule_clauses(model: Model, rule: RuleName) -> tuple[str, ...]:
     """Give the clauses that a rule or gap cites."""
-    machine = model.protocol.machines[rule.machine]
-    for row in (*machine.rules, *machine.gaps):
+    for row in rows_of(model.protocol.machines[rule.machine]):
         if row.name == rule.name:
             return row.clauses
     return ()

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from ecatspec.model.compiled import View
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import expected_fields, matches, rule_clauses, step
@@ -21,7 +20,7 @@ from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
 from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, resolve
 
 if TYPE_CHECKING:
-    from ecatspec.model.compiled import Model
+    from ecatspec.model.compiled import Model, View
     from ecatspec.spec.language.ir import Register
 
 ROOT = "mailbox"
@@ -112,7 +111,7 @@ class Oracle:
             states = [state.having(slot, value) for state in states for value in values]
         self.candidates = {Candidate(state, loose=True): () for state in states}
 
-    # --- one exchange -------------------------------------------------------------------------------
+    # --- one exchange -----------------------------------------------------------------------------
 
     def observe(self, exchange: Exchange) -> Mismatch | None:
         """Take one exchange into account; tell the mismatch, if there is one."""
@@ -190,7 +189,7 @@ class Oracle:
             if isinstance(value := candidate.state.slots[slot], int)
         )
 
-    # --- writes -------------------------------------------------------------------------------------
+    # --- writes -----------------------------------------------------------------------------------
 
     def _write(self, exchange: Exchange) -> Mismatch | None:
         touched = [
@@ -293,13 +292,17 @@ class Oracle:
             after[replace(candidate, inbox=inbox)] = history
         if concerned and not after:
             return self._mismatch(
-                exchange, "mailbox write", refused, {"the mailbox takes the request": None},
-                "refused: working counter 0", (),
+                exchange,
+                "mailbox write",
+                refused,
+                {"the mailbox takes the request": None},
+                "refused: working counter 0",
+                (),
             )
         self.candidates = after
         return None
 
-    # --- reads --------------------------------------------------------------------------------------
+    # --- reads ------------------------------------------------------------------------------------
 
     def _read(self, exchange: Exchange) -> Mismatch | None:
         if not exchange.working_counter:
@@ -347,9 +350,8 @@ class Oracle:
     def _seen(self, register: Register, state: State, raw: int) -> list[State]:
         """Give the states after `raw` was read, none where the state does not allow it."""
         environment = Environment(state.slots, {}, {})
-        shown = []
-        for view in self.model.views[register.name]:
-            shown.append((view, view.value(environment)))
+        views = self.model.views[register.name]
+        shown = [(view, view.value(environment)) for view in views]
         if environment.undecided:
             choice = min(environment.undecided)
             slot = self.model.slots[f"choice {choice}"]
@@ -396,7 +398,11 @@ class Oracle:
             return None
         observed = "mailbox full" if full else "mailbox empty: no reply"
         return self._mismatch(
-            exchange, "reply", before, self._expected_replies(before), observed,
+            exchange,
+            "reply",
+            before,
+            self._expected_replies(before),
+            observed,
             tuple(output for candidate in before for output in candidate.outbox[:1]),
         )
 
@@ -428,11 +434,17 @@ class Oracle:
             return None
         observed = "no message" if message is None else message_words(self.model, message)
         return self._mismatch(
-            exchange, "reply", before, self._expected_replies(before), observed,
+            exchange,
+            "reply",
+            before,
+            self._expected_replies(before),
+            observed,
             tuple(output for candidate in before for output in candidate.outbox[:1]),
         )
 
-    def _expected_replies(self, candidates: dict[Candidate, tuple[RuleName, ...]]) -> dict[str, None]:
+    def _expected_replies(
+        self, candidates: dict[Candidate, tuple[RuleName, ...]]
+    ) -> dict[str, None]:
         expected: dict[str, None] = {}
         for candidate in candidates:
             if candidate.outbox:
@@ -448,7 +460,7 @@ class Oracle:
                 expected["no reply"] = None
         return expected
 
-    # --- helpers ------------------------------------------------------------------------------------
+    # --- helpers ----------------------------------------------------------------------------------
 
     def _expanded(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
         """Give all candidates, with inputs served or, until their deadline, not yet."""
@@ -506,7 +518,9 @@ class Oracle:
         raw = state.slots[self.model.slots[f"register {name}"]]
         if not isinstance(raw, int):
             parameter = "mailbox_out" if name == MAIN_OUT else "mailbox_in"
-            return self.model.parameter(parameter, "start"), self.model.parameter(parameter, "length")
+            return self.model.parameter(parameter, "start"), self.model.parameter(
+                parameter, "length"
+            )
         start = field_of(self.model.protocol, name, "start", raw)
         length = field_of(self.model.protocol, name, "length", raw)
         return (start, length) if length else None

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-from ecatspec.model.values import ObjectKey, Value
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ecatspec.model.values import ObjectKey, Value
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,16 +37,22 @@ class VirtualSubDevice:
         codec = self.model.codec
         self._request_service = codec.fixed("sdo_request")["service"]
         self._response_service = codec.fixed("sdo_response")["service"]
+        state = self.model.initial
+        for entry in protocol.objects:
+            default = 0 if entry.default is None else entry.default
+            state = state.keeping((entry.index, entry.subindex), encode_value(entry, default))
+        self._power_on = state
+        # AL Status Code lies above AL Status and is written first
+        self._views = sorted(
+            ((name, views) for name, views in self.model.views.items() if views),
+            key=lambda item: -protocol.registers[item[0]].address,
+        )
         self.reset()
 
     def reset(self) -> None:
         """Power cycle."""
         self.esc = Esc(self.model)
-        self.state: State = self.model.initial
-        for entry in self.model.protocol.objects:
-            default = 0 if entry.default is None else entry.default
-            value = encode_value(entry, default)
-            self.state = self.state.keeping((entry.index, entry.subindex), value)
+        self.state = self._power_on
         self._queue: list[bytes] = []
         self._show()
 
@@ -67,7 +73,7 @@ class VirtualSubDevice:
         del seconds
         self.poll()
 
-    # --- the device's side --------------------------------------------------------------------------
+    # --- the device's side ------------------------------------------------------------------------
 
     def poll(self) -> None:
         """Do what a device's main loop does: look at the events and serve them."""
@@ -168,10 +174,7 @@ class VirtualSubDevice:
     def _show(self) -> None:
         """Write what the registers show, AL Status Code before AL Status."""
         environment = Environment(self.state.slots, {}, {})
-        shown = sorted(self.model.views.items(), key=lambda item: -self.model.protocol.registers[item[0]].address)
-        for register, views in shown:
-            if not views:
-                continue
+        for register, views in self._views:
             raw = 0
             for view in views:
                 value = view.value(environment)

@@ -51,7 +51,9 @@ class Pattern:
         if self.ranges is None or other.ranges is None:
             return True
         return any(
-            low <= top and bottom <= high for low, high in self.ranges for bottom, top in other.ranges
+            low <= top and bottom <= high
+            for low, high in self.ranges
+            for bottom, top in other.ranges
         )
 
 

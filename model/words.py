@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from ecatspec.model.values import Pattern, Value
 from ecatspec.spec.language.ir import Bool, Named, SInt, Type, UInt
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
 
+_BYTE = 8
+"""Numbers up to this many bits are said in decimal."""
 _QUIET = ("address", "channel", "priority", "reserved", "payload", "body", "number")
 
 
@@ -25,8 +28,8 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
             for low, high in ranges or ():
                 first = typed_words(model, kind, low)
                 parts.append(first if low == high else f"{first}..{typed_words(model, kind, high)}")
-            text = " or ".join(parts)
-            return text if excluded is None else f"{text} but not {excluded}"
+            words = " or ".join(parts)
+            return words if excluded is None else f"{words} but not {excluded}"
         case bytes():
             return value.hex(" ").upper() or "empty"
         case str():
@@ -37,10 +40,10 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
         case Named(table=table):
             text = model.protocol.tables[table]
             digits = (text.width + 3) // 4
-            number = f"0x{value:0{digits}X}" if text.width > 8 else str(int(value))
+            number = f"0x{value:0{digits}X}" if text.width > _BYTE else str(int(value))
             names = [row.name for row in text.rows if row.value == value]
             return f"{number} {names[0]}" if names else number
-        case UInt(width=width) if width >= 16:
+        case UInt(width=width) if width > _BYTE:
             return f"0x{value:0{(width + 3) // 4}X}"
         case SInt() | UInt():
             return str(int(value))

@@ -34,6 +34,7 @@ from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, dat
 
 from ecatspec.conformance.adapter import AdapterError, Description, check_duration, check_span
 from ecatspec.conformance.adapters import refuse_options
+from ecatspec.conformance.devices import load
 from ecatspec.model.dictionary import encode_value
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import (
@@ -47,7 +48,6 @@ from ecatspec.spec.language.ir import (
     Time,
     UInt,
 )
-from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -68,7 +68,7 @@ _NOTES: Final = (
 def make(device: str, options: Mapping[str, str]) -> Adapter:
     """Return the package's SDO server with the objects of the text `device`."""
     refuse_options("canopen", options)
-    return _Canopen(load_device(device))
+    return _Canopen(load(device))
 
 
 class SdoServer:
@@ -148,7 +148,7 @@ class _Canopen:
 
 def object_dictionary(protocol: Protocol) -> ObjectDictionary:
     """Return the declared objects as the package's object dictionary."""
-    dictionary = ObjectDictionary()  # type: ignore[no-untyped-call]
+    dictionary = ObjectDictionary()
     entries = sorted(protocol.objects, key=lambda entry: (entry.index, entry.subindex))
     for index, group in groupby(entries, key=lambda entry: entry.index):
         members = [_variable(entry) for entry in group]

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapter import Description, check_duration, check_span
 from ecatspec.conformance.adapters import refuse_options
+from ecatspec.conformance.devices import load
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def make(device: str, options: Mapping[str, str]) -> Adapter:
     """Return the virtual SubDevice of the text `device`."""
     refuse_options("model", options)
-    return _Model(load_device(device))
+    return _Model(load(device))
 
 
 class _Model:

@@ -157,7 +157,8 @@ class Runner:
         last = next((line.what for line in reversed(trace) if line.who == "MainDevice"), "power-on")
         oracle, attempt = self.session.oracle, self.session.attempt
         rules = oracle.due_rules() if attempt is None else oracle.attempted(attempt)
-        clauses = tuple(dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule)))
+        inner = [rule for rule in rules if rule.machine != "mailbox"] or rules
+        clauses = tuple(dict.fromkeys(c for rule in inner for c in rule_clauses(self.model, rule)))
         kind = type(death).__name__
         return Verdict(
             case.name,

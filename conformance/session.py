@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.verdict import TraceLine
-from ecatspec.generators.case import Probe, SendFrame, Stimulus, WriteRegister
+from ecatspec.generators.case import Probe, SendFrame, Stimulus, WriteRegister, WriteRegisters
 from ecatspec.generators.sdo_cover import probe_entry, upload
-from ecatspec.generators.stimulus import frame_bytes, register_bytes
+from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
 from ecatspec.model.words import message_words, register_words
@@ -64,6 +64,14 @@ class Session:
             case WriteRegister():
                 address, data = register_bytes(self.model, stimulus)
                 words = register_words(self.model, stimulus.register, stimulus.fields)
+                self._say("MainDevice", f"writes {words}")
+                self._write(address, data)
+            case WriteRegisters():
+                address, data = registers_bytes(self.model, stimulus)
+                words = "; ".join(
+                    register_words(self.model, write.register, write.fields)
+                    for write in stimulus.writes
+                )
                 self._say("MainDevice", f"writes {words}")
                 self._write(address, data)
             case SendFrame():

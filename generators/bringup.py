@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.case import Stimulus, WriteRegister
+from ecatspec.generators.case import Stimulus, WriteRegister, WriteRegisters
 from ecatspec.model.esc import SYNC_MANAGERS
 
 if TYPE_CHECKING:
@@ -26,9 +26,8 @@ def mailbox_settings(
     model: Model, changes: Mapping[str, Mapping[str, int]] | None = None
 ) -> tuple[Stimulus, ...]:
     """Set both mailbox SyncManagers as the texts say; `changes` deviates field by field."""
-    stimuli: list[Stimulus] = [
-        WriteRegister(f"{name}_activation", {"enabled": 0}) for name in SYNC_MANAGERS
-    ]
+    changes = changes or {}
+    stimuli: list[Stimulus] = []
     for name in SYNC_MANAGERS:
         fields = {
             "start": model.parameter(AREAS[name], "start"),
@@ -36,10 +35,15 @@ def mailbox_settings(
             "mode": row(model, "sync_manager_mode", "mailbox"),
             "direction": row(model, "sync_manager_direction", DIRECTIONS[name]),
         }
-        stimuli.append(WriteRegister(name, fields | dict((changes or {}).get(name, {}))))
-    for name in SYNC_MANAGERS:
-        enabled = (changes or {}).get(f"{name}_activation", {"enabled": 1})
-        stimuli.append(WriteRegister(f"{name}_activation", enabled))
+        activation = f"{name}_activation"
+        stimuli.append(
+            WriteRegisters(
+                (
+                    WriteRegister(name, fields | dict(changes.get(name, {}))),
+                    WriteRegister(activation, changes.get(activation, {"enabled": 1})),
+                )
+            )
+        )
     return tuple(stimuli)
 
 

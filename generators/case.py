@@ -20,6 +20,13 @@ class WriteRegister:
 
 
 @dataclass(frozen=True, slots=True)
+class WriteRegisters:
+    """The MainDevice writes neighbouring registers at once, in the order of their addresses."""
+
+    writes: tuple[WriteRegister, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class SendFrame:
     """The MainDevice writes a message into its mailbox.
 
@@ -36,7 +43,7 @@ class Probe:
     """A request that every device answers: shows that the mailbox is alive."""
 
 
-Stimulus: TypeAlias = WriteRegister | SendFrame | Probe
+Stimulus: TypeAlias = WriteRegister | WriteRegisters | SendFrame | Probe
 
 
 @dataclass(frozen=True, slots=True)

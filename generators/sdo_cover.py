@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import WAY_UP, way_to
+from ecatspec.generators.bringup import WAY_UP, mailbox_settings, way_to
 from ecatspec.generators.case import Case, Probe, SendFrame, Stimulus
 from ecatspec.model.dictionary import encode_value, size_of
 from ecatspec.spec.language.ir import Access
@@ -173,8 +173,8 @@ def _mailbox(model: Model) -> Iterator[Case]:
     yield _case(model, "nine_replies", "counters over nine replies", [again] * 9, layer="mailbox")
     for state in WAY_UP[2:]:
         yield _case(model, f"upload_in_{state}", f"upload in {state}", [again], state)
-    stimuli = (*way_to(model, "PREOP")[:6], again)
-    yield Case("mailbox/upload_in_INIT", "upload in INIT", "mailbox", stimuli, prelude=6)
+    stimuli = (*mailbox_settings(model), again)
+    yield Case("mailbox/upload_in_INIT", "upload in INIT", "mailbox", stimuli, prelude=2)
 
 
 def probe_entry(model: Model) -> ObjectEntry | None:

@@ -10,8 +10,8 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import mailbox_settings, request, row
-from ecatspec.generators.case import Case, Stimulus, WriteRegister
-from ecatspec.generators.stimulus import register_bytes
+from ecatspec.generators.case import Case, Probe, SendFrame, Stimulus, WriteRegister, WriteRegisters
+from ecatspec.generators.stimulus import register_bytes, registers_bytes
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.subdevice import VirtualSubDevice
 
@@ -102,8 +102,13 @@ def _reached(device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]) ->
     device.reset()
     for _, stimuli in way:
         for stimulus in stimuli:
-            if isinstance(stimulus, WriteRegister):
-                device.write(*register_bytes(model, stimulus))
+            match stimulus:
+                case WriteRegister():
+                    device.write(*register_bytes(model, stimulus))
+                case WriteRegisters():
+                    device.write(*registers_bytes(model, stimulus))
+                case SendFrame() | Probe():
+                    raise TypeError("the AL inputs are register writes")
     slots = device.state.slots
     enabled = tuple(device.esc.register(f"{name}_activation") for name in SYNC_MANAGERS)
     return (slots[model.slots["al.state"]], slots[model.slots["al.error"]], enabled)

@@ -8,6 +8,7 @@ that none of them allows is a mismatch.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
@@ -15,7 +16,7 @@ from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import expected_fields, matches, rule_clauses, step
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
-from ecatspec.model.words import message_words, register_words, value_words
+from ecatspec.model.words import fields_words, message_words, register_words
 from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
 from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, resolve
 
@@ -48,17 +49,24 @@ class Pending:
     deadline: int
 
 
+class Loose(IntEnum):
+    """How much the mailbox may hold that no text speaks of."""
+
+    NONE = 0
+    ONE = 1
+    """The answer to a message that the texts leave open."""
+    ALL = 2
+    """Anything: the beginning was not seen, or the mailbox is not alive."""
+
+
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One explanation: a state, inputs not yet served, replies that lie ready.
-
-    `loose` tells that the texts do not say what the mailbox holds.
-    """
+    """One explanation: a state, inputs not yet served, replies that lie ready."""
 
     state: State
     inbox: tuple[Pending, ...] = ()
     outbox: tuple[Output, ...] = ()
-    loose: bool = False
+    loose: Loose = Loose.NONE
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +117,7 @@ class Oracle:
             slot = self.model.slots[f"{machine}.state"]
             values = self.model.state_names(machine)
             states = [state.having(slot, value) for state in states for value in values]
-        self.candidates = {Candidate(state, loose=True): () for state in states}
+        self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
 
     # --- one exchange -----------------------------------------------------------------------------
 
@@ -284,7 +292,7 @@ class Oracle:
                 continue
             message = self.model.codec.decode(exchange.data, ROOT)
             if message is None:
-                after[replace(candidate, loose=True)] = history
+                after[replace(candidate, loose=Loose.ALL)] = history
                 continue
             event = Event("mailbox", "mail", message.fields, message.trail)
             pending = self._pending(candidate.state, event, exchange.time)
@@ -425,7 +433,8 @@ class Oracle:
             if message is not None and self._absent(candidate):
                 continue
             if candidate.loose or not self._alive(candidate):
-                after[replace(candidate, outbox=candidate.outbox[1:])] = history
+                loose = Loose.NONE if candidate.loose is Loose.ONE else candidate.loose
+                after[replace(candidate, outbox=candidate.outbox[1:], loose=loose)] = history
             elif candidate.outbox and message is not None:
                 for state in matches(self.model, candidate.state, candidate.outbox[0], message):
                     after[replace(candidate, state=state, outbox=candidate.outbox[1:])] = history
@@ -451,11 +460,7 @@ class Oracle:
                 output = candidate.outbox[0]
                 fields = expected_fields(self.model, candidate.state, output)
                 stated = {n: v for n, v in fields.items() if v != UNKNOWN}
-                words = ", ".join(
-                    f"{name} {value_words(self.model, output.frame, name, value)}"
-                    for name, value in stated.items()
-                )
-                expected[f"{output.frame}: {words}"] = None
+                expected[fields_words(self.model, output.frame, stated)] = None
             elif not candidate.inbox:
                 expected["no reply"] = None
         return expected
@@ -489,19 +494,20 @@ class Oracle:
         history: tuple[RuleName, ...],
     ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
         was_alive = self._alive(candidate)
+        mail = event.machine == ROOT
         served = []
         for taken in step(self.model, candidate.state, event):
             after = Candidate(
                 taken.state,
                 rest,
                 candidate.outbox + taken.outputs,
-                candidate.loose or (taken.unspecified and event.machine == "mailbox"),
+                max(candidate.loose, Loose.ONE if mail and taken.unspecified else Loose.NONE),
             )
             alive = self._alive(after)
             if alive != was_alive:
-                after = replace(after, outbox=(), loose=not alive)
-            if event.input == "mail" and not taken.unspecified and not candidate.outbox:
-                after = replace(after, loose=False)
+                after = replace(after, outbox=(), loose=Loose.NONE if alive else Loose.ALL)
+            if mail and not taken.unspecified and not candidate.outbox:
+                after = replace(after, loose=Loose.NONE)
             self.unspecified = self.unspecified or taken.unspecified
             served.append((after, history + taken.rules))
         return served

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _BYTE = 8
 """Numbers up to this many bits are said in decimal."""
-_QUIET = ("address", "channel", "priority", "reserved", "payload", "body", "number")
+_QUIET = ("address", "channel", "priority", "reserved", "padding", "payload", "body", "number")
 
 
 def typed_words(model: Model, kind: Type, value: Value) -> str:
@@ -69,8 +69,18 @@ def register_words(model: Model, register: str, fields: Mapping[str, Value]) -> 
 
 def message_words(model: Model, message: Message) -> str:
     """Say a message: its layout and every field that tells something."""
-    own = [name for name in model.codec.field_names(message.frame) if name not in _QUIET]
-    words = ", ".join(
-        f"{name} {value_words(model, message.frame, name, message.fields[name])}" for name in own
-    )
-    return f"{message.frame}: {words}"
+    return fields_words(model, message.frame, message.fields)
+
+
+def fields_words(model: Model, frame: str, fields: Mapping[str, Value]) -> str:
+    """Say fields of a frame, without those that the layout fixes or that only fill it up."""
+    fixed = model.codec.fixed(frame)
+    told = [
+        f"{name} {value_words(model, frame, name, fields[name])}"
+        for name in model.codec.field_names(frame)
+        if name in fields
+        and name not in fixed
+        and not name.startswith(_QUIET)
+        and not model.codec.is_derived(frame, name)
+    ]
+    return f"{frame}: {', '.join(told)}" if told else frame

@@ -175,7 +175,7 @@ def truth(expression: Binary | Unary, a: Value, b: Value = False) -> Value:
     return getter(Environment((), {}, {}))
 
 
-@pytest.mark.parametrize(("a", "b"), itertools.product(TRUTHS, TRUTHS))
+@pytest.mark.parametrize(("a", "b"), list(itertools.product(TRUTHS, TRUTHS)))
 def test_and_is_the_least_and_or_the_greatest(a: Value, b: Value) -> None:
     left, right = Name("a"), Name("b")
     both = truth(Binary("and", left, right), a, b)

@@ -1,0 +1,280 @@
+"""The only place for tests of a run: verdict kinds, devices that die, and the canopen package."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from ecatspec.conformance import runner as runner_module
+from ecatspec.conformance.adapter import AdapterError, Description
+from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.runner import Runner, run_device
+from ecatspec.conformance.verdict import Outcome
+from ecatspec.generators.bringup import request, way_to
+from ecatspec.generators.case import Case, Probe
+from ecatspec.generators.sdo_cover import upload
+from ecatspec.model.compiled import Model
+from ecatspec.spec.language.load import load_device
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.verdict import Result, Verdict
+
+DEVICE = "kollmorgen-akd"
+MODEL = Model(load_device(DEVICE))
+PREOP = way_to(MODEL, "PREOP")
+
+
+def case(name: str, *stimuli: object, layer: str = "sdo", needs: str | None = None) -> Case:
+    requests = tuple(stimuli) or (Probe(),)
+    return Case(name, name, layer, (*PREOP, *requests), needs, len(PREOP))  # type: ignore[arg-type]
+
+
+class Wrapped:
+    """The virtual SubDevice with another description, or with trouble at a write."""
+
+    def __init__(self, protocols: frozenset[str], trouble: Exception | None = None) -> None:
+        self.device = make(DEVICE, {})
+        self.protocols = protocols
+        self.trouble = trouble
+
+    def reset(self) -> None:
+        self.device.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        counter, data = self.device.read(address, length)
+        if self.trouble is None and "wrong" in self.protocols and length == 2:
+            return counter, bytes([data[0] | 0x10, data[1]])
+        return counter, data
+
+    def write(self, address: int, data: bytes) -> int:
+        if self.trouble is not None:
+            raise self.trouble
+        return self.device.write(address, data)
+
+    def advance(self, seconds: float) -> None:
+        self.device.advance(seconds)
+
+    def close(self) -> None:
+        pass
+
+    def describe(self) -> Description:
+        return Description("wrapped", self.protocols, virtual_time=True, closed_dictionary=True)
+
+
+def verdict_of(adapter: Adapter, one: Case) -> Verdict:
+    return Runner(Model(load_device(DEVICE)), adapter, adapter.describe()).judge(one)
+
+
+ALL = frozenset({"al", "mailbox", "sdo"})
+
+
+def test_a_pass() -> None:
+    assert verdict_of(Wrapped(ALL), case("probe")).outcome is Outcome.PASS
+
+
+def test_a_failure_cites_clauses_and_shows_its_trace() -> None:
+    verdict = verdict_of(Wrapped(ALL | {"wrong"}), case("probe"))
+    assert verdict.outcome is Outcome.FAIL
+    assert verdict.observed
+    assert verdict.expected
+
+
+def test_a_layer_that_is_not_the_devices_own_is_skipped() -> None:
+    verdict = verdict_of(Wrapped(frozenset({"sdo"})), case("up", layer="al"))
+    assert verdict.outcome is Outcome.SKIPPED
+    assert "al is not the device's own" in verdict.reason
+
+
+def test_a_state_that_is_not_reached_is_inconclusive() -> None:
+    verdict = verdict_of(Wrapped(ALL), case("in OP", needs="OP"))
+    assert verdict.outcome is Outcome.INCONCLUSIVE
+    assert verdict.reason == "needs AL state OP, the device is in PREOP"
+
+
+def test_trouble_of_the_adapter_is_no_fault_of_the_device() -> None:
+    verdict = verdict_of(Wrapped(ALL, AdapterError("no cable")), case("probe"))
+    assert verdict.outcome is Outcome.ERROR
+    assert verdict.reason == "no cable"
+
+
+# --- devices that die -------------------------------------------------------------------------------
+
+HOST = '''
+import json, os, signal, sys, time
+from ecatspec.conformance.adapters.model import make
+how, after = sys.argv[1], int(sys.argv[2])
+device, sent = make("standard", {}), 0
+out = device._device.model.parameter("mailbox_out", "start")
+for line in sys.stdin:
+    call = json.loads(line)
+    answer = {"ok": True}
+    match call["op"]:
+        case "reset":
+            device.reset()
+        case "read":
+            answer["wkc"], data = device.read(call["address"], call["length"])
+            answer["data"] = data.hex()
+        case "write":
+            sent += call["address"] == out
+            if sent == after and call["address"] == out:
+                if how == "kill":
+                    os.kill(os.getpid(), signal.SIGKILL)
+                if how == "sleep":
+                    time.sleep(1000)
+                if how == "rubbish":
+                    sys.stdout.buffer.write(bytes(range(128, 256)) + b"\\n")
+                    sys.stdout.flush()
+                    continue
+            answer["wkc"] = device.write(call["address"], bytes.fromhex(call["data"]))
+        case "describe":
+            answer["description"] = device.describe().to_json()
+        case "close":
+            break
+    print(json.dumps(answer), flush=True)
+'''
+
+
+@pytest.fixture
+def host(tmp_path: Path) -> str:
+    script = tmp_path / "host.py"
+    script.write_text(HOST, encoding="utf-8")
+    return f"exec:{shlex.quote(sys.executable)} {shlex.quote(str(script))}"
+
+
+@pytest.mark.parametrize(
+    ("how", "kind", "words"),
+    [
+        ("kill", "DeviceCrash", "SIGKILL"),
+        ("sleep", "DeviceHang", "no answer within 2 s"),
+        ("rubbish", "DeviceRubbish", "not JSON"),
+    ],
+)
+def test_a_death_is_a_verdict_and_the_run_goes_on(
+    host: str, how: str, kind: str, words: str
+) -> None:
+    # long enough for the interpreter to start on a busy machine
+    adapter = open_adapter(f"{host} {how} 3", "standard", hang_timeout=2.0)
+    model = Model(load_device("standard"))
+    try:
+        runner = Runner(model, adapter, adapter.describe())
+        way = way_to(model, "PREOP")
+        asks = upload(0x1018, 2), upload(0x1018, 1), upload(0x1018, 3)
+        probe = Case("probe", "", "sdo", (*way, Probe()))
+        deadly = Case("deadly", "", "sdo", (*way, *asks))
+        runner.run([probe, deadly, probe], None, 3)
+    finally:
+        adapter.close()
+    first, second, third = runner.verdicts
+    assert (first.outcome, third.outcome) == (Outcome.PASS, Outcome.PASS)
+    assert second.outcome is Outcome.CRASH
+    assert second.reason.startswith("last stimulus: sends sdo_upload_request")
+    assert "index 0x1018, subindex 3" in second.reason
+    assert words in second.observed
+    assert second.signature.startswith(kind)
+    assert "SDO-22" in second.clauses
+    assert second.trace[-1].what == second.observed
+
+
+# --- the end of a run -------------------------------------------------------------------------------
+
+
+def children() -> set[int]:
+    """Processes whose parent is this one."""
+    found = set()
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parts = entry.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(parts[1]) == os.getpid():
+            found.add(int(entry.parent.name))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="counts children in /proc")
+def test_an_interrupt_gives_what_was_found_and_leaves_no_process() -> None:
+    before = children()
+    during: set[int] = set()
+
+    def progress(number: int, _total: int, _name: str) -> None:
+        if number == 5:
+            during.update(children() - before)
+            raise KeyboardInterrupt
+
+    result = run_device(DEVICE, "model", depth="quick", progress=progress)
+    assert result.interrupted
+    assert len(result.verdicts) == 5
+    assert during
+    assert children() <= before
+
+
+def test_an_interrupt_of_the_random_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    def few(_: Model) -> Iterator[Case]:
+        yield case("probe")
+
+    def progress(_number: int, _total: int, name: str) -> None:
+        if name == "random requests":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner_module, "all_cases", few)
+    result = run_device(DEVICE, "model", depth="quick", progress=progress)
+    assert result.interrupted
+    assert [verdict.case for verdict in result.verdicts] == ["probe"]
+
+
+def test_the_random_part_of_the_virtual_device_passes() -> None:
+    adapter = make(DEVICE, {})
+    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
+    runner.explore(10, 0, None)
+    assert [verdict.outcome for verdict in runner.verdicts] == [Outcome.PASS]
+
+
+def test_a_case_begins_from_power_on() -> None:
+    adapter = make(DEVICE, {})
+    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
+    there = Case("op", "op", "al", way_to(MODEL, "OP"))
+    refused = Case("skip", "skip", "al", (request(8),))
+    runner.run([there, refused, there], None, 3)
+    assert {verdict.outcome for verdict in runner.verdicts} == {Outcome.PASS}
+
+
+# --- the package canopen ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def canopen() -> Result:
+    if importlib.util.find_spec("canopen") is None:
+        pytest.skip('the package canopen is not installed: pip install "ecatspec[canopen]"')
+    return run_device(DEVICE, "canopen", depth="quick")
+
+
+def test_canopen_dies_of_an_unknown_command_as_first_request(canopen: Result) -> None:
+    (verdict,) = [v for v in canopen.verdicts if v.case == "sdo/unknown_command/7"]
+    assert verdict.outcome is Outcome.CRASH
+    assert "command 7" in verdict.reason
+    assert "SDO-17" in verdict.clauses
+    assert "struct.error" in verdict.observed
+
+
+def test_canopen_knows_a_subindex_of_a_plain_variable(canopen: Result) -> None:
+    (verdict,) = [v for v in canopen.verdicts if v.case == "sdo/no_subindex/upload/1000_01"]
+    assert verdict.outcome is Outcome.FAIL
+    assert "SDO-08" in verdict.clauses
+    assert verdict.observed.startswith("sdo_upload_expedited")
+
+
+def test_every_finding_of_canopen_is_short(canopen: Result) -> None:
+    lengths = {f.verdict.case: len(f.verdict.trace) for f in canopen.findings()}
+    assert lengths
+    # 7 lines of bring-up, 2 of the state, then one exchange or two
+    assert max(lengths.values()) <= 14, lengths

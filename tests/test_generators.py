@@ -7,9 +7,9 @@ import pytest
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import SendFrame, WriteRegister
+from ecatspec.generators.case import SendFrame, WriteRegister, WriteRegisters
 from ecatspec.generators.sdo_cover import sdo_cover
-from ecatspec.generators.stimulus import frame_bytes, register_bytes
+from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.transition_cover import transition_cover
 from ecatspec.model.compiled import Model
 from ecatspec.spec.language.load import load_device
@@ -75,6 +75,10 @@ def test_every_stimulus_fits_its_register_or_its_mailbox(
                 case WriteRegister(register=name):
                     _, data = register_bytes(model, stimulus)
                     assert len(data) == model.protocol.registers[name].size
+                case WriteRegisters(writes=writes):
+                    start, data = registers_bytes(model, stimulus)
+                    last = model.protocol.registers[writes[-1].register]
+                    assert start + len(data) == last.address + last.size
                 case SendFrame():
                     data = frame_bytes(model, stimulus, 1)
                     assert len(data) <= model.parameter("mailbox_out", "length")

@@ -82,7 +82,6 @@ def test_pins(akd: Protocol) -> None:
     assert {name: pin.alternative for name, pin in akd.pins.items()} == {
         "emulation": "none",
         "identification_support": "unanswered",
-        "mailbox_address": "refuse",
         "mailbox_support": "present",
         "refused_in_op": "stay",
         "upload_form": "expedited",

@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ecatspec.generators.bringup import mailbox_settings, request, row, way_to
-from ecatspec.generators.case import WriteRegister
-from ecatspec.generators.stimulus import register_bytes
+from ecatspec.generators.case import WriteRegister, WriteRegisters
+from ecatspec.generators.stimulus import register_bytes, registers_bytes
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import Esc, field_of
 from ecatspec.model.evaluate import Environment, compile_expression
@@ -163,13 +163,13 @@ def test_an_unknown_value_admits_everything_and_a_pattern_no_text() -> None:
     assert UNKNOWN.first() == 0
 
 
-# --- three-valued logic -----------------------------------------------------------------------------
+# --- three-valued logic ---------------------------------------------------------------------------
 
 TRUTHS: tuple[Value, ...] = (False, UNKNOWN, True)
 ORDER = {False: 0, UNKNOWN: 1, True: 2}
 
 
-def truth(expression: Binary | Unary, a: Value, b: Value = False) -> Value:
+def truth(expression: Binary | Unary, a: Value, b: Value = UNKNOWN) -> Value:
     known = {"a": a, "b": b}
     getter = compile_expression(expression, lambda name: lambda _: known[name.path], {})
     return getter(Environment((), {}, {}))
@@ -201,7 +201,7 @@ def test_comparisons_with_what_is_not_known() -> None:
     assert truth(Binary("+", Name("a"), Literal(5)), 2) == 7
 
 
-# --- interpreter ------------------------------------------------------------------------------------
+# --- interpreter ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("protocol", [AKD, STANDARD], ids=lambda protocol: protocol.name)
@@ -243,13 +243,19 @@ def test_every_state_has_a_step_for_every_message(data: st.DataObject) -> None:
         assert step(MODEL, MODEL.initial.having(MODEL.slots["al.state"], value), event)
 
 
-# --- the virtual SubDevice --------------------------------------------------------------------------
+# --- the virtual SubDevice ------------------------------------------------------------------------
+
+
+def written(stimulus: Stimulus) -> tuple[int, bytes]:
+    if isinstance(stimulus, WriteRegisters):
+        return registers_bytes(MODEL, stimulus)
+    assert isinstance(stimulus, WriteRegister)
+    return register_bytes(MODEL, stimulus)
 
 
 def drive(device: VirtualSubDevice, stimuli: Iterable[Stimulus]) -> None:
     for stimulus in stimuli:
-        assert isinstance(stimulus, WriteRegister)
-        assert device.write(*register_bytes(device.model, stimulus)) == 1
+        assert device.write(*written(stimulus)) == 1
 
 
 @pytest.mark.parametrize("example", AKD.examples, ids=lambda example: example.name)
@@ -280,14 +286,13 @@ def test_a_reset_undoes_everything() -> None:
     assert device.read(0, 0x0A00) == fresh
 
 
-# --- ESC memory -------------------------------------------------------------------------------------
+# --- ESC memory -----------------------------------------------------------------------------------
 
 
 def esc_with_mailboxes() -> Esc:
     esc = Esc(MODEL)
     for stimulus in mailbox_settings(MODEL):
-        assert isinstance(stimulus, WriteRegister)
-        assert esc.main_write(*register_bytes(MODEL, stimulus)) == 1
+        assert esc.main_write(*written(stimulus)) == 1
     return esc
 
 

@@ -79,7 +79,7 @@ class Faulty:
         pass
 
     def describe(self) -> Description:
-        return Description("faulty", frozenset({"al", "mailbox", "sdo"}), True, True)
+        return Description("faulty", frozenset({"al", "mailbox", "sdo"}), *(True, True))
 
 
 def judged(
@@ -123,7 +123,7 @@ SKIP = request(VALUE["OP"])
 ASK = upload(0x1018, 1)
 
 
-# --- the AL state machine ---------------------------------------------------------------------------
+# --- the AL state machine -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -173,7 +173,7 @@ def test_a_request_that_nothing_follows() -> None:
     assert "AL-03" in fault(stuck, PREOP).clauses
 
 
-# --- the mailbox ------------------------------------------------------------------------------------
+# --- the mailbox ----------------------------------------------------------------------------------
 
 
 class Repeating(VirtualSubDevice):
@@ -241,7 +241,7 @@ def test_a_device_that_never_counts_is_allowed() -> None:
     assert choices["reply_counter"] == "zero"
 
 
-# --- SDO --------------------------------------------------------------------------------------------
+# --- SDO ------------------------------------------------------------------------------------------
 
 
 def test_a_wrong_index_in_an_abort() -> None:
@@ -283,7 +283,7 @@ def test_a_probe_is_a_request_that_is_answered() -> None:
     assert "SDO-22" in fault(Faulty(standard(), silent=True), (*PREOP, Probe())).clauses
 
 
-# --- choices ----------------------------------------------------------------------------------------
+# --- choices --------------------------------------------------------------------------------------
 
 
 def going(way: str) -> Faulty:

@@ -107,9 +107,9 @@ def test_trouble_of_the_adapter_is_no_fault_of_the_device() -> None:
     assert verdict.reason == "no cable"
 
 
-# --- devices that die -------------------------------------------------------------------------------
+# --- devices that die -----------------------------------------------------------------------------
 
-HOST = '''
+HOST = """
 import json, os, signal, sys, time
 from ecatspec.conformance.adapters.model import make
 how, after = sys.argv[1], int(sys.argv[2])
@@ -141,7 +141,7 @@ for line in sys.stdin:
         case "close":
             break
     print(json.dumps(answer), flush=True)
-'''
+"""
 
 
 @pytest.fixture
@@ -168,7 +168,7 @@ def test_a_death_is_a_verdict_and_the_run_goes_on(
     try:
         runner = Runner(model, adapter, adapter.describe())
         way = way_to(model, "PREOP")
-        asks = upload(0x1018, 2), upload(0x1018, 1), upload(0x1018, 3)
+        asks = upload(0x1018, 2), upload(0x1018, 3)
         probe = Case("probe", "", "sdo", (*way, Probe()))
         deadly = Case("deadly", "", "sdo", (*way, *asks))
         runner.run([probe, deadly, probe], None, 3)
@@ -185,7 +185,7 @@ def test_a_death_is_a_verdict_and_the_run_goes_on(
     assert second.trace[-1].what == second.observed
 
 
-# --- the end of a run -------------------------------------------------------------------------------
+# --- the end of a run -----------------------------------------------------------------------------
 
 
 def children() -> set[int]:
@@ -248,7 +248,7 @@ def test_a_case_begins_from_power_on() -> None:
     assert {verdict.outcome for verdict in runner.verdicts} == {Outcome.PASS}
 
 
-# --- the package canopen ----------------------------------------------------------------------------
+# --- the package canopen --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

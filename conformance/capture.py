@@ -139,8 +139,8 @@ _COMMANDS: Final = tuple(
 class Transaction:
     """One read or one write of the memory of one SubDevice, or of all.
 
-    A command that reads and writes gives two, the read first. An unconfirmed write is yielded when
-    its request is given up, so later than its time.
+    A command that reads and writes gives two, the read first. An unconfirmed access is yielded
+    when a later request came back, or when its own is given up, so later than its time.
     """
 
     frame: int
@@ -157,7 +157,7 @@ class Transaction:
     working_counter: int
     """As returned; of a command that reads and writes, the sum of both halves."""
     confirmed: bool
-    """False for a write whose return was not captured: nobody knows whether it took effect."""
+    """False for an access whose return was not captured: nobody knows whether it took effect."""
     command: str
     """Name of the command of the datagram."""
     done: bool
@@ -603,6 +603,14 @@ class _Pending:
             self._remove(request)
             yield request.frame
 
+    def overtaken(self, source: bytes) -> Iterator[_Frame]:
+        """Take out the requests older than the last that came back: they are lost."""
+        last = self._last.get(source, 0)
+        lost = [r for r in self._requests.values() if r.serial < last and r.frame.source == source]
+        for request in lost:
+            self._remove(request)
+            yield request.frame
+
     def _remove(self, request: _Request) -> None:
         del self._requests[request.serial]
         waiting = self._by_signature[request.signature]
@@ -719,6 +727,9 @@ class Capture:
                 request = self._pending.match(frame, self.segment.size)
             if request is not None or (not paired and (frame.marked or frame.counted)):
                 self._count["returns"] += 1
+                if request is not None:
+                    for lost in self._pending.overtaken(request.source):
+                        yield from self._lost(lost)
                 yield from self._returned(frame, request)
             else:
                 self._count["requests"] += 1
@@ -785,25 +796,28 @@ class Capture:
             yield transaction
 
     def _lost(self, request: _Frame) -> Iterator[Transaction]:
-        """Yield the writes of a request that never came back."""
+        """Yield the accesses of a lost request; a read may have emptied a mailbox."""
         self._count["lost_requests"] += 1
         for datagram in request.datagrams:
             command = datagram.command
-            if not command.writes or command.addressing is _Addressing.LOGICAL:
+            if command.addressing in {_Addressing.NONE, _Addressing.LOGICAL}:
                 continue
-            yield Transaction(
-                frame=request.number,
-                time=self._seconds(request),
-                sent=self._seconds(request),
-                device=self._device(command, datagram.adp),
-                write=True,
-                address=datagram.ado,
-                data=datagram.data,
-                working_counter=datagram.working_counter,
-                confirmed=False,
-                command=command.name,
-                done=False,
-            )
+            for write in (False, True):
+                if not (command.writes if write else command.reads):
+                    continue
+                yield Transaction(
+                    frame=request.number,
+                    time=self._seconds(request),
+                    sent=self._seconds(request),
+                    device=self._device(command, datagram.adp),
+                    write=write,
+                    address=datagram.ado,
+                    data=datagram.data,
+                    working_counter=datagram.working_counter,
+                    confirmed=False,
+                    command=command.name,
+                    done=False,
+                )
 
     def _device(self, command: _Command, adp: int) -> int | None:
         match command.addressing:

@@ -85,7 +85,10 @@ class Follower:
         """Judge one access; after a mismatch go on from what it showed."""
         if not transaction.confirmed:
             self.lost += 1
-            self.oracle.unknown(keep=False)
+            if transaction.write:
+                self.oracle.unknown()
+            else:
+                self.oracle.perhaps_read(transaction.address, len(transaction.data))
             return
         self.exchanges += 1
         moment = round(transaction.time * _MICROSECONDS)
@@ -214,7 +217,7 @@ def _result(
         )
     states = "AL: " + " -> ".join(follower.path)
     messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
-    lost = f"{follower.lost} writes whose effect was not captured" if follower.lost else ""
+    lost = f"{follower.lost} accesses whose return was not captured" if follower.lost else ""
     shown = (f"{follower.exchanges} exchanges", states, f"mailbox: {messages or 'nothing'}", lost)
     return Result(
         model.protocol.name,

@@ -114,8 +114,9 @@ class Session:
             wait *= _SLOWER
 
     def _look(self) -> None:
-        self._read_register("al_status_code")
+        # the code is judged only once the state is known, so the state comes first
         self._read_register("al_status")
+        self._read_register("al_status_code")
         status = self._read_register(f"{MAIN_IN}_status")
         if field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status):
             start, length = self._area(MAIN_IN)

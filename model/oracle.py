@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ROOT = "mailbox"
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
-_LIMIT = 4096
+_LIMIT = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +101,12 @@ class Oracle:
         self.unspecified = False
 
     def unknown(self, *, keep: bool = False) -> None:
-        """Begin with a device of which nothing is known; `keep` what was seen of registers."""
+        """Go on with a device of which only its choices are known; `keep` its registers too."""
         base = self.model.initial
         kept = next(iter(self.candidates)).state if keep and self.candidates else None
         for name, slot in self.model.slots.items():
             if name.startswith("choice "):
-                if kept is not None:
+                if self.candidates:
                     base = base.having(slot, self._agreed(slot))
             elif name.startswith("register "):
                 base = base.having(slot, kept.slots[slot] if kept else UNKNOWN)
@@ -156,6 +156,15 @@ class Oracle:
         """Give the rules that were to serve a write during which the device died."""
         self.observe(exchange)
         return self.due_rules()
+
+    def perhaps_read(self, address: int, length: int) -> None:
+        """Take it that the MainDevice may have read here: a reply may be gone."""
+        area = self.area(MAIN_IN)
+        if area is None or not address < area[0] + area[1] <= address + length:
+            return
+        for candidate, history in self._expanded(-1).items():
+            for taken in (candidate, replace(candidate, outbox=candidate.outbox[1:])):
+                self.candidates.setdefault(taken, history)
 
     def forget_history(self) -> None:
         """Keep only the last rule of each machine in each history, for runs without end."""
@@ -471,7 +480,11 @@ class Oracle:
         """Give all candidates, with inputs served or, until their deadline, not yet."""
         found: dict[Candidate, tuple[RuleName, ...]] = {}
         work = list(self.candidates.items())
-        while work and len(found) < _LIMIT:
+        while work:
+            if len(found) > _LIMIT:
+                # too many explanations to follow: nothing is known, so nobody is blamed
+                self.unknown(keep=True)
+                return dict(self.candidates)
             candidate, history = work.pop()
             if candidate in found:
                 continue

@@ -32,8 +32,9 @@ from typing import TYPE_CHECKING, Any, Final, assert_never
 import canopen
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
 
-from ecatspec.conformance.adapter import AdapterError, Description, check_duration, check_span
+from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import refuse_options
+from ecatspec.conformance.adapters.model import VirtualAdapter
 from ecatspec.conformance.devices import load
 from ecatspec.model.dictionary import encode_value
 from ecatspec.model.subdevice import VirtualSubDevice
@@ -68,7 +69,16 @@ _NOTES: Final = (
 def make(device: str, options: Mapping[str, str]) -> Adapter:
     """Return the package's SDO server with the objects of the text `device`."""
     refuse_options("canopen", options)
-    return _Canopen(load(device))
+    protocol = load(device)
+    node = _Node(protocol)
+    description = Description(
+        name=f"canopen {importlib.metadata.version('canopen')} SdoServer, {protocol.name}",
+        protocols=frozenset({"sdo"}),
+        virtual_time=True,
+        closed_dictionary=True,
+        notes=_NOTES,
+    )
+    return VirtualAdapter(VirtualSubDevice(protocol, node.serve), description, node.renew)
 
 
 class SdoServer:
@@ -107,43 +117,18 @@ class _Heartbeat:
         pass
 
 
-class _Canopen:
+class _Node:
+    """The server of this moment: a reset puts a new one in its place."""
+
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
-        self._server = SdoServer(protocol)
-        self._device = VirtualSubDevice(protocol, sdo_server=self._serve)
-        self._description = Description(
-            name=f"canopen {importlib.metadata.version('canopen')} SdoServer, {protocol.name}",
-            protocols=frozenset({"sdo"}),
-            virtual_time=True,
-            closed_dictionary=True,
-            notes=_NOTES,
-        )
+        self.renew()
 
-    def _serve(self, request: bytes) -> list[bytes]:
-        return self._server(request)  # of this moment: a reset puts a new one in its place
-
-    def reset(self) -> None:
+    def renew(self) -> None:
         self._server = SdoServer(self._protocol)
-        self._device.reset()
 
-    def read(self, address: int, length: int) -> tuple[int, bytes]:
-        check_span(address, length)
-        return self._device.read(address, length)
-
-    def write(self, address: int, data: bytes) -> int:
-        check_span(address, len(data))
-        return self._device.write(address, data)
-
-    def advance(self, seconds: float) -> None:
-        check_duration(seconds)
-        self._device.advance(seconds)
-
-    def close(self) -> None:
-        pass
-
-    def describe(self) -> Description:
-        return self._description
+    def serve(self, request: bytes) -> list[bytes]:
+        return self._server(request)
 
 
 def object_dictionary(protocol: Protocol) -> ObjectDictionary:

@@ -10,46 +10,62 @@ from ecatspec.conformance.devices import load
 from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from ecatspec.conformance.adapter import Adapter
-    from ecatspec.spec.language.ir import Protocol
 
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:
     """Return the virtual SubDevice of the text `device`."""
     refuse_options("model", options)
-    return _Model(load(device))
+    protocol = load(device)
+    # Every machine of the texts, and every frame that one of them may carry, is its own.
+    description = Description(
+        name=f"virtual SubDevice {protocol.name}",
+        protocols=frozenset(protocol.machines),
+        virtual_time=True,
+        closed_dictionary=True,
+    )
+    return VirtualAdapter(VirtualSubDevice(protocol), description)
 
 
-class _Model:
-    def __init__(self, protocol: Protocol) -> None:
-        self._device = VirtualSubDevice(protocol)
-        # Every machine of the texts, and every frame that one of them may carry, is its own.
-        self._description = Description(
-            name=f"virtual SubDevice {protocol.name}",
-            protocols=frozenset(protocol.machines),
-            virtual_time=True,
-            closed_dictionary=True,
-        )
+class VirtualAdapter:
+    """The contract over a virtual SubDevice; `power_off` is done before each reset."""
+
+    def __init__(
+        self,
+        device: VirtualSubDevice,
+        description: Description,
+        power_off: Callable[[], None] | None = None,
+    ) -> None:
+        self._device = device
+        self._description = description
+        self._power_off = power_off
 
     def reset(self) -> None:
+        """Power cycle."""
+        if self._power_off is not None:
+            self._power_off()
         self._device.reset()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read as the MainDevice."""
         check_span(address, length)
         return self._device.read(address, length)
 
     def write(self, address: int, data: bytes) -> int:
+        """Write as the MainDevice."""
         check_span(address, len(data))
         return self._device.write(address, data)
 
     def advance(self, seconds: float) -> None:
+        """Let virtual time pass."""
         check_duration(seconds)
         self._device.advance(seconds)
 
     def close(self) -> None:
-        pass
+        """Nothing to release."""
 
     def describe(self) -> Description:
+        """What was given."""
         return self._description

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
@@ -129,7 +130,9 @@ class Runner:
         try:
             wrapped()
         except _Found:
-            return failures[-1]
+            found = failures[-1]
+            last = _last_stimulus(found.trace).removeprefix("sends ").partition(":")[0]
+            return replace(found, title=f"random requests, {last} the last")
         return Verdict(name, Outcome.PASS, "random requests")
 
     # --- verdicts ---------------------------------------------------------------------------------
@@ -154,7 +157,7 @@ class Runner:
 
     def _death(self, case: Case, death: Exception) -> Verdict:
         trace = tuple(self.session.trace)
-        last = next((line.what for line in reversed(trace) if line.who == "MainDevice"), "power-on")
+        last = _last_stimulus(trace)
         oracle, attempt = self.session.oracle, self.session.attempt
         rules = oracle.due_rules() if attempt is None else oracle.attempted(attempt)
         inner = [rule for rule in rules if rule.machine != "mailbox"] or rules
@@ -182,6 +185,10 @@ class Runner:
 
 class _Found(Exception):  # noqa: N818
     """A new cause was found; Hypothesis shrinks it."""
+
+
+def _last_stimulus(trace: tuple[TraceLine, ...]) -> str:
+    return next((line.what for line in reversed(trace) if line.who == "MainDevice"), "power-on")
 
 
 def _kind(death: Exception) -> str:

@@ -92,9 +92,12 @@ class Session:
         if message is not None:
             self._say("MainDevice", f"sends {message_words(self.model, message)}")
         start, length = self._area(MAIN_OUT)
+        # refused for longer than the request time, the oracle calls it a deviation
         limit = self.time + self.model.parameter("request_timeout")
-        while not self._write(start, data.ljust(length, b"\0")) and self.time < limit:
-            self._wait(_FIRST_WAIT)
+        wait = _FIRST_WAIT
+        while not self._write(start, data.ljust(length, b"\0")) and self.time <= limit:
+            self._wait(wait)
+            wait *= _SLOWER
 
     def _area(self, name: str) -> tuple[int, int]:
         parameter = {MAIN_OUT: "mailbox_out", MAIN_IN: "mailbox_in"}[name]

@@ -89,6 +89,8 @@ class Oracle:
     model: Model
     candidates: dict[Candidate, tuple[RuleName, ...]] = field(default_factory=dict)
     unspecified: bool = False
+    written: int = 0
+    """When the MainDevice last wrote what the device may still be busy with."""
 
     # --- beginnings -------------------------------------------------------------------------------
 
@@ -99,6 +101,7 @@ class Oracle:
             state = state.having(self.model.slots[f"choice {name}"], alternative)
         self.candidates = {Candidate(state): ()}
         self.unspecified = False
+        self.written = 0
 
     def unknown(self, *, keep: bool = False) -> None:
         """Go on with a device of which only its choices are known; `keep` its registers too."""
@@ -216,6 +219,7 @@ class Oracle:
         ]
         if touched:
             if exchange.working_counter:
+                self.written = exchange.time
                 self._write_registers(touched, exchange)
             return None
         return self._write_mailbox(exchange)
@@ -289,6 +293,8 @@ class Oracle:
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         refused: dict[Candidate, tuple[RuleName, ...]] = {}
         concerned = False
+        patience = self.model.parameter("request_timeout")
+        recent = exchange.time - self.written <= patience
         for candidate, history in self._expanded(exchange.time).items():
             area = self._area(candidate.state, MAIN_OUT)
             if area is None or not _covers_end(area, exchange):
@@ -296,7 +302,7 @@ class Oracle:
                 continue
             concerned = True
             if not exchange.working_counter:
-                busy = candidate.inbox or candidate.outbox or candidate.loose
+                busy = recent or candidate.inbox or candidate.outbox or candidate.loose
                 (after if busy or not self._alive(candidate) else refused)[candidate] = history
                 continue
             message = self.model.codec.decode(exchange.data, ROOT)
@@ -316,6 +322,8 @@ class Oracle:
                 "refused: working counter 0",
                 (),
             )
+        if concerned and exchange.working_counter:
+            self.written = exchange.time
         self.candidates = after
         return None
 

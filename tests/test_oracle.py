@@ -13,6 +13,7 @@ from ecatspec.generators.bringup import WAY_UP, request, row, way_to
 from ecatspec.generators.case import Probe, SendFrame, WriteRegister
 from ecatspec.generators.sdo_cover import download, upload
 from ecatspec.model.compiled import Model
+from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device
@@ -313,3 +314,48 @@ def test_both_ways_in_one_device_are_a_deviation(first: str, then: str) -> None:
     mismatch, _ = judged(going(then), REFUSED, choices)
     assert mismatch is not None
     assert {"AL-08", "AL-10"} <= set(mismatch.clauses)
+
+
+class _Stuck(VirtualSubDevice):
+    """Takes no request for some of its time after the first."""
+
+    seconds = 0.0
+    left = 0.0
+    taken = 0
+
+    def write(self, address: int, data: bytes) -> int:
+        mailbox = self.esc.channel(SYNC_MANAGERS[0])
+        if mailbox is not None and address == mailbox[0]:
+            if self.taken and self.left > 0:
+                return 0
+            self.taken += 1
+            self.left = self.seconds
+        return super().write(address, data)
+
+    def advance(self, seconds: float) -> None:
+        self.left -= seconds
+        super().advance(seconds)
+
+    def close(self) -> None:
+        self.left = 0.0
+
+    def describe(self) -> Description:
+        return Description("stuck", frozenset(), virtual_time=True, closed_dictionary=True)
+
+
+@pytest.mark.parametrize(("seconds", "stuck"), [(0.05, False), (5.0, True)])
+def test_a_request_must_be_taken_within_the_request_time(seconds: float, *, stuck: bool) -> None:
+    model = Model(AKD)
+    device = _Stuck(AKD)
+    device.seconds = seconds
+    session = Session(device, model, Oracle(model))
+    session.begin(SHAPE)
+    for stimulus in way_to(model, "PREOP"):
+        session.apply(stimulus)
+    session.apply(Probe())
+    if stuck:
+        with pytest.raises(Deviation, match="refused") as found:
+            session.apply(Probe())
+        assert "MBX-10" in found.value.mismatch.clauses
+    else:
+        session.apply(Probe())

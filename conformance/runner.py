@@ -140,7 +140,7 @@ class Runner:
     def _failure(self, case: Case, mismatch: Mismatch) -> Verdict:
         clauses = self.model.protocol.clauses
         cited = [clauses[name] for name in mismatch.clauses]
-        blames = any(clause.level is Level.MUST for clause in cited) or not cited
+        blames = any(clause.level is Level.MUST for clause in cited)
         return Verdict(
             case.name,
             Outcome.FAIL if blames else Outcome.WARNING,

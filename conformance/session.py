@@ -86,7 +86,7 @@ class Session:
 
     def _send(self, stimulus: SendFrame) -> None:
         if not stimulus.same_counter:
-            self._counter = self._counter % 7 + 1
+            self._counter = self._counter % self.model.parameter("highest_counter") + 1
         data = frame_bytes(self.model, stimulus, self._counter)
         message = self.model.codec.decode(data, ROOT)
         if message is not None:

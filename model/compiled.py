@@ -146,10 +146,6 @@ class Model:
             case _:
                 raise TypeError(f"{ref} has no slot")
 
-    def target_of(self, path: str) -> int:
-        """Give the slot of `machine.variable`."""
-        return self.slots[path]
-
     def state_names(self, machine: str) -> dict[int, str]:
         """Give the states of a machine by value."""
         wanted = set(self.protocol.machines[machine].states)

@@ -139,10 +139,6 @@ class Oracle:
         deadlines = [p.deadline for candidate in self.candidates for p in candidate.inbox]
         return max(deadlines, default=None)
 
-    def reply_due(self) -> bool:
-        """Tell whether some candidate has or will have a reply in the mailbox."""
-        return any(c.outbox for c in self._expanded(-1))
-
     def due_rules(self) -> tuple[RuleName, ...]:
         """Give the rules that may serve the inputs that the device has."""
         return tuple(
@@ -567,6 +563,10 @@ class Oracle:
             own = ([r for r in h if r.machine == machine] for h in before.values())
             rules = dict.fromkeys(history[-1] for history in own if history)
         clauses = dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule))
+        if not clauses:
+            # before any rule fired it is the power-on value or the register itself that is broken
+            register = subject if subject in self.model.views else f"{MAIN_IN}_status"
+            clauses = dict.fromkeys(self.model.protocol.registers[register].clauses)
         return Mismatch(
             exchange,
             subject,

@@ -359,3 +359,13 @@ def test_a_request_must_be_taken_within_the_request_time(seconds: float, *, stuc
         assert "MBX-10" in found.value.mismatch.clauses
     else:
         session.apply(Probe())
+
+
+def test_a_wrong_power_on_value_cites_its_clause() -> None:
+    def awake(register: str, raw: int) -> int:
+        return row(Model(AKD), "al_state", "OP") if register == "al_status" else raw
+
+    session = Session(Faulty(VirtualSubDevice(AKD), shown=awake), Model(AKD), Oracle(Model(AKD)))
+    with pytest.raises(Deviation) as found:
+        session.begin(SHAPE)
+    assert "AL-01" in found.value.mismatch.clauses

@@ -90,7 +90,7 @@ def device(tmp_path: Path) -> Iterator[Make]:
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
-        assert living_group(pid) == []
+        assert gone(pid), living_group(pid)
 
 
 def living_group(leader: int) -> list[str]:
@@ -102,6 +102,14 @@ def living_group(leader: int) -> list[str]:
             if int(group) == leader and state not in "ZX":
                 living.append(str(stat))
     return living
+
+
+def gone(leader: int) -> bool:
+    """Whether the group dies soon: a signal has been sent to all of it, but only the leader is waited for."""
+    deadline = time.monotonic() + 10
+    while living_group(leader) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return not living_group(leader)
 
 
 def read_until_fault(adapter: ProcessAdapter) -> None:

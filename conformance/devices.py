@@ -5,18 +5,21 @@ from __future__ import annotations
 import difflib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from ecatspec.spec.language.ir import (
     Area,
     Binary,
     Call,
     Conditional,
+    Extend,
     In,
     Literal,
     Name,
     OneOf,
     Remove,
+    Replace,
+    ReplaceField,
     Time,
     Unary,
 )
@@ -364,16 +367,20 @@ def _objects(protocol: Protocol) -> Sheet:
 
 
 def _changes(protocol: Protocol) -> Sheet:
-    rows = tuple(
-        (
-            f"{change.machine}.{change.rule}",
-            "removed" if isinstance(change, Remove) else "replaced",
-            change.clauses,
-        )
-        for change in protocol.replaced
-    )
-    title = "rules of the standard that this device keeps differently"
-    return Sheet("changes", title, ("rule", "change", "clauses"), rows)
+    rows: list[tuple[str, str, tuple[str, ...]]] = []
+    for change in protocol.replaced:
+        match change:
+            case Replace() | Remove():
+                word = "removed" if isinstance(change, Remove) else "replaced"
+                rows.append((f"{change.machine}.{change.rule}", word, change.clauses))
+            case ReplaceField():
+                rows.append((f"{change.frame}.{change.name}", "replaced", change.clauses))
+            case Extend():
+                rows += [(f"{change.machine}.{r.name}", "added", r.clauses) for r in change.rules]
+            case _:
+                assert_never(change)
+    title = "rules and fields of the standard that this device keeps differently"
+    return Sheet("changes", title, ("subject", "change", "clauses"), tuple(rows))
 
 
 def _anomalies(protocol: Protocol) -> Sheet:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ecatspec.conformance.capture import Transaction
     from ecatspec.model.state import RuleName
 
-ROOT = "mailbox"
 _MICROSECONDS = 1_000_000
 _REMEMBERED = 6
 _ETHERNET_ADDRESS = 6
@@ -138,7 +137,7 @@ class Follower:
                 self.path.append(f"{parts[-1]} ({exchange.reference})")
         start = self.oracle.area(SYNC_MANAGERS[0 if exchange.write else 1])
         if start is not None and exchange.address == start[0]:
-            message = self.model.codec.decode(exchange.data, ROOT)
+            message = self.model.decode(exchange.data)
             if message is not None:
                 self.messages[message.frame] += 1
                 parts.append(message_words(self.model, message))

@@ -6,10 +6,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.verdict import TraceLine
-from ecatspec.generators.case import Probe, SendFrame, Stimulus, WriteRegister, WriteRegisters
+from ecatspec.generators.case import (
+    Probe,
+    Repeat,
+    SendFrame,
+    SendSegments,
+    Stimulus,
+    WriteRegister,
+    WriteRegisters,
+)
 from ecatspec.generators.sdo_cover import probe_entry, upload
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
-from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.esc import SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
 from ecatspec.model.words import message_words, register_words
 
@@ -18,7 +26,6 @@ if TYPE_CHECKING:
     from ecatspec.model.compiled import Model
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
-ROOT = "mailbox"
 _SECOND = 1_000_000
 _FIRST_WAIT = 500
 _SLOWER = 4
@@ -76,6 +83,13 @@ class Session:
                 self._write(address, data)
             case SendFrame():
                 self._send(stimulus)
+                if stimulus.unread:
+                    self._settle(unread=True)
+                    return
+            case SendSegments():
+                self._send_segments()
+            case Repeat():
+                self._repeat()
             case Probe():
                 entry = probe_entry(self.model)
                 if entry is not None:
@@ -88,7 +102,7 @@ class Session:
         if not stimulus.same_counter:
             self._counter = self._counter % self.model.parameter("highest_counter") + 1
         data = frame_bytes(self.model, stimulus, self._counter)
-        message = self.model.codec.decode(data, ROOT)
+        message = self.model.decode(data)
         if message is not None:
             self._say("MainDevice", f"sends {message_words(self.model, message)}")
         start, length = self._area(MAIN_OUT)
@@ -99,32 +113,49 @@ class Session:
             self._wait(wait)
             wait *= _SLOWER
 
+    def _send_segments(self) -> None:
+        toggle = False
+        while self.oracle.may_be("sdo", "UPLOADING") and not self.oracle.may_be("sdo", "IDLE"):
+            self._send(SendFrame("sdo_upload_segment", {"toggle": int(toggle)}))
+            self._settle()
+            toggle = not toggle
+
+    def _repeat(self) -> None:
+        register = self.model.protocol.registers[f"{MAIN_IN}_activation"]
+        mask = field_mask(self.model.protocol, register.name, "repeat")
+        raw = int.from_bytes(self.adapter.read(register.address, register.size)[1], "little")
+        self._say("MainDevice", "toggles the repeat bit")
+        self._write(register.address, (raw ^ mask).to_bytes(register.size, "little"))
+
     def _area(self, name: str) -> tuple[int, int]:
         parameter = {MAIN_OUT: "mailbox_out", MAIN_IN: "mailbox_in"}[name]
         return self.model.parameter(parameter, "start"), self.model.parameter(parameter, "length")
 
     # --- watching ---------------------------------------------------------------------------------
 
-    def _settle(self) -> None:
+    def _settle(self, *, unread: bool = False) -> None:
         wait = _FIRST_WAIT
         while True:
-            self._look()
-            if self.oracle.settled(self.time):
+            self._look(unread=unread)
+            if self.oracle.settled(self.time, unread=unread):
                 return
             deadline = self.oracle.deadline()
             left = 0 if deadline is None else deadline - self.time + 1
             self._wait(max(1, min(wait, left)))
             wait *= _SLOWER
 
-    def _look(self) -> None:
+    def _look(self, *, unread: bool = False) -> None:
         # the code is judged only once the state is known, so the state comes first
         self._read_register("al_status")
         self._read_register("al_status_code")
+        self._read_register(f"{MAIN_IN}_pdi_control")
         status = self._read_register(f"{MAIN_IN}_status")
+        if unread:
+            return
         if field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status):
             start, length = self._area(MAIN_IN)
             counter, data = self.adapter.read(start, length)
-            message = self.model.codec.decode(data, ROOT) if counter else None
+            message = self.model.decode(data) if counter else None
             words = "no message" if message is None else message_words(self.model, message)
             self._say("SubDevice", f"answers {words}")
             self._observe(self._exchange(start, data, counter))

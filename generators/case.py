@@ -30,12 +30,24 @@ class WriteRegisters:
 class SendFrame:
     """The MainDevice writes a message into its mailbox.
 
-    Without `counter` the next one of 1 to 7 is taken; `same_counter` repeats the last.
+    Without `counter` the next one of 1 to 7 is taken; `same_counter` repeats the last. With
+    `unread` the answer stays in the mailbox.
     """
 
     frame: str
     fields: Mapping[str, Value] = field(hash=False)
     same_counter: bool = False
+    unread: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SendSegments:
+    """The MainDevice asks for segments until the upload is over; nothing where none is open."""
+
+
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """The MainDevice toggles the repeat bit of the mailbox that it reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +55,7 @@ class Probe:
     """A request that every device answers: shows that the mailbox is alive."""
 
 
-Stimulus: TypeAlias = WriteRegister | WriteRegisters | SendFrame | Probe
+Stimulus: TypeAlias = WriteRegister | WriteRegisters | SendFrame | SendSegments | Repeat | Probe
 
 
 @dataclass(frozen=True, slots=True)

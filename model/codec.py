@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
-from ecatspec.model.values import Pattern, Value
+from ecatspec.model.functions import PLAIN
+from ecatspec.model.values import UNKNOWN, Value
 from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Name, SInt
 from ecatspec.spec.language.scope import (
     ConstantRef,
@@ -44,6 +45,7 @@ class _Part:
     length: Getter | None = None
     constant: Value | None = None
     counts: str | None = None
+    filled: Getter | None = None
 
 
 class Codec:
@@ -177,6 +179,9 @@ class Codec:
         if body is not None:
             values = {**values, parts[-1].name: body}
         for part in parts:
+            if part.filled is not None and part.name not in values:
+                values = {**values, part.name: part.filled(Environment((), {}, values))}
+        for part in parts:
             content = values.get(part.name, b"")
             if part.counts is not None and part.counts not in values and isinstance(content, bytes):
                 values = {**values, part.counts: len(content)}
@@ -185,9 +190,9 @@ class Codec:
         for part in parts:
             value = values.get(part.name, 0)
             if part.width is None:
-                content = value if isinstance(value, bytes) else b""
                 wanted = 0 if part.length is None else part.length(Environment((), {}, values))
-                content = content.ljust(wanted if isinstance(wanted, int) else 0, b"\0")
+                missing = bytes(wanted if isinstance(wanted, int) else 0)
+                content = value if isinstance(value, bytes) else missing
                 bits |= int.from_bytes(content, "little") << offset
                 offset += len(content) * 8
             else:
@@ -203,20 +208,23 @@ class Codec:
 
     def _part(self, frame: Frame, field: FrameField) -> _Part:
         constant = None if field.value is None else self._constant(frame, field.value, field.type)
+        filled = None if field.filled is None else self._getter(frame, field.filled, field.type)
         if isinstance(field.type, Bytes):
             expression = field.type.length
             if expression is None:
-                return _Part(field.name, constant=constant)
+                return _Part(field.name, constant=constant, filled=filled)
             own = {item.name for item in frame.fields}
             counts = (
                 expression.path if isinstance(expression, Name) and expression.path in own else None
             )
-            getter = compile_expression(expression, self._lookup(frame), {})
-            return _Part(field.name, length=getter, constant=constant, counts=counts)
+            getter = self._getter(frame, expression, None)
+            return _Part(field.name, length=getter, constant=constant, counts=counts, filled=filled)
         width = width_of(self._protocol, field.type)
         signed = isinstance(field.type, SInt)
         truth = isinstance(field.type, Bool)
-        return _Part(field.name, width, signed=signed, truth=truth, constant=constant)
+        return _Part(
+            field.name, width, signed=signed, truth=truth, constant=constant, filled=filled
+        )
 
     def _lookup(self, frame: Frame, expected: Type | None = None) -> Lookup:
         def lookup(name: Name) -> Getter:
@@ -225,15 +233,17 @@ class Codec:
                 case ConstantRef(value=constant):
                     return lambda _: constant
                 case ParameterOfInput(name=key):
-                    return lambda environment: environment.parameters[key]
+                    return lambda environment: environment.parameters.get(key, UNKNOWN)
                 case _:
                     raise TypeError(f"{name.at}: a layout cannot use `{name.path}`")
 
         return lookup
 
     def _constant(self, frame: Frame, expression: Expression, expected: Type) -> Value:
-        value = compile_expression(expression, self._lookup(frame, expected), {})
-        return value(Environment((), {}, {}))
+        return self._getter(frame, expression, expected)(Environment((), {}, {}))
+
+    def _getter(self, frame: Frame, expression: Expression, expected: Type | None) -> Getter:
+        return compile_expression(expression, self._lookup(frame, expected), PLAIN)
 
     def _conditions_of(self, frame: Frame) -> dict[str, Value]:
         types = frame_fields(self._protocol, frame.parent) if frame.parent else {}
@@ -245,8 +255,3 @@ class Codec:
         parts = self._parts[frame]
         constants = sum(part.constant is not None for part in parts) + len(self._conditions[frame])
         return constants, -len(parts)
-
-
-def concrete(value: Value, after: int = 0) -> Value:
-    """Give a value that a device may send where `value` is what is acceptable."""
-    return value.first(after) if isinstance(value, Pattern) else value

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, assert_never
 
 from ecatspec.model.codec import Codec
-from ecatspec.model.dictionary import ObjectDictionary
+from ecatspec.model.dictionary import CROWDED, ObjectDictionary
 from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
-from ecatspec.model.state import RuleName, State
+from ecatspec.model.functions import PLAIN
+from ecatspec.model.state import Event, RuleName, State
 from ecatspec.model.values import UNKNOWN, Value
 from ecatspec.spec.language.ir import (
     Access,
+    After,
     AnyValue,
     Binary,
     Bool,
@@ -30,6 +32,7 @@ from ecatspec.spec.language.ir import (
     Unary,
 )
 from ecatspec.spec.language.scope import (
+    REPLY,
     AlternativeRef,
     ChoiceRef,
     ConditionRef,
@@ -40,15 +43,23 @@ from ecatspec.spec.language.scope import (
     ParameterRef,
     Ref,
     RegisterFieldRef,
+    ReplyField,
     Scope,
     StateRef,
     VariableRef,
     expectation,
+    frame_fields,
+    names_in,
     resolve,
 )
 
 if TYPE_CHECKING:
-    from ecatspec.spec.language.ir import Machine, Protocol, Register
+    from ecatspec.model.codec import Message
+    from ecatspec.spec.language.ir import Give, Machine, Protocol, Register, Send, Update
+
+
+MAILBOX = "mailbox"
+"""The machine that takes all messages, and its outermost layout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +71,21 @@ class CompiledRule:
     guard: Getter | None
     target: int | None
     updates: tuple[tuple[int, Getter], ...]
-    store: tuple[tuple[Getter, Getter, Getter], ...]
+    store: tuple[tuple[Getter, Getter, Getter, bool], ...]
     sends: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
     gives: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
     within: Getter | None
     gap: bool
+    later: Later | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Later:
+    """What a rule says of its frame once other fields of it are fixed, and what follows then."""
+
+    fields: tuple[tuple[str, Getter], ...]
+    updates: tuple[tuple[int, Getter], ...]
+    gives: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +108,8 @@ class Model:
         self.protocol = protocol
         self.assuming = assuming
         self.codec = Codec(protocol)
-        self.dictionary = ObjectDictionary(protocol, self._al_state)
+        self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
+        self._functions = PLAIN | self.dictionary.functions
         self.slots: dict[str, int] = {}
         self._definitions: dict[str, Getter] = {}
         initial: list[Value | None] = []
@@ -103,6 +125,18 @@ class Model:
                     for row in rows_of(machine)
                     if row.input == source.name
                 )
+        self._named = {rule.name: rule for rules in self.rules.values() for rule in rules}
+        mailbox = protocol.machines[MAILBOX]
+        self._roots = [o for i in mailbox.inputs if i.kind == "frame" for o in i.origin]
+        self.locals = tuple(
+            Event(machine.name, i.name, {})
+            for machine in protocol.machines.values()
+            for i in machine.inputs
+            if i.kind == "local"
+        )
+        """What may happen inside the device at any time."""
+        self.fetched = Event(MAILBOX, "fetched", {})
+        """The MainDevice has read a message."""
         self.views = {r.name: self._views(r) for r in protocol.registers.values()}
         self.replies = {name: self._reply_fields(name) for name in protocol.frames}
 
@@ -117,7 +151,7 @@ class Model:
             found.append((f"{machine.name}.state", values[machine.initial]))
             for variable in machine.variables:
                 lookup = self._lookup(Scope(machine.name), variable.type)
-                value = compile_expression(variable.initial, lookup, {})
+                value = compile_expression(variable.initial, lookup, PLAIN)
                 found.append((f"{machine.name}.{variable.name}", value(Environment((), {}, {}))))
         for choice in protocol.choices.values():
             pin = protocol.pins.get(choice.name)
@@ -145,6 +179,23 @@ class Model:
                 return self.slots[f"register {register}"]
             case _:
                 raise TypeError(f"{ref} has no slot")
+
+    def named(self, rule: RuleName) -> CompiledRule:
+        """Give a rule by its name."""
+        return self._named[rule]
+
+    def decode(self, data: bytes) -> Message | None:
+        """Decode what lies in a mailbox by the first outermost layout that fits."""
+        messages = (self.codec.decode(data, root) for root in self._roots)
+        return next((message for message in messages if message is not None), None)
+
+    def mail(self, message: Message, *, crowded: bool) -> Event:
+        """Give the input that a message is; `crowded`: an earlier one was unanswered."""
+        source = next(
+            i for i in self.protocol.machines[MAILBOX].inputs if message.trail[0] in i.origin
+        )
+        parameters = {**message.fields, CROWDED: crowded}
+        return Event(MAILBOX, source.name, parameters, message.trail)
 
     def state_names(self, machine: str) -> dict[int, str]:
         """Give the states of a machine by value."""
@@ -183,7 +234,7 @@ class Model:
         return compile_expression(
             expression,
             self._lookup(scope, expected, expression),
-            self.dictionary.functions,
+            self._functions,
         )
 
     def _lookup(
@@ -201,6 +252,9 @@ class Model:
         match ref:
             case ParameterOfInput(name=key):
                 return lambda environment: environment.parameters.get(key, UNKNOWN)
+            case ReplyField(name=key):
+                path = f"{REPLY}.{key}"
+                return lambda environment: environment.parameters.get(path, UNKNOWN)
             case VariableRef() | StateRef():
                 slot = self.slot(ref)
                 return lambda environment: _present(environment.slots[slot])
@@ -254,7 +308,6 @@ class Model:
         return register_field
 
     def _rule(self, machine: str, rule: Rule | Gap) -> CompiledRule:
-        text = self.protocol.machines[machine]
         scope = Scope(machine, rule.input)
         values = {name: value for value, name in self.state_names(machine).items()}
         guard = None if rule.guard is None else self.expression(rule.guard, scope, None)
@@ -263,50 +316,70 @@ class Model:
             return CompiledRule(
                 RuleName(machine, rule.name), sources, guard, None, (), (), (), (), None, gap=True
             )
-        types = {variable.name: variable.type for variable in text.variables}
+        later = scope if not rule.sends else replace(scope, reply=rule.sends[-1].frame)
+        sends, late = [], []
+        for send in rule.sends:
+            bound = self._bindings(send, later)
+            sends.append((send.frame, tuple((n, get) for n, get, is_late in bound if not is_late)))
+            late += [(n, get) for n, get, is_late in bound if is_late]
+        after = None
+        if late or rule.after is not None:
+            given = rule.after or After((), ())
+            after = Later(
+                tuple(late), self._updates(given.updates, later), self._gives(given.gives, later)
+            )
         return CompiledRule(
             RuleName(machine, rule.name),
             sources,
             guard,
             None if rule.target is None else values[rule.target],
-            tuple(
-                (
-                    self.slots[f"{machine}.{update.variable}"],
-                    self.expression(update.value, scope, types[update.variable]),
-                )
-                for update in rule.updates
-            ),
+            self._updates(rule.updates, scope),
             tuple(
                 (
                     self.expression(store.index, scope, None),
                     self.expression(store.subindex, scope, None),
                     self.expression(store.value, scope, None),
+                    store.complete,
                 )
                 for store in rule.stores
             ),
-            tuple(
-                (send.frame, self._bindings(send.frame, send.fields, scope)) for send in rule.sends
-            ),
-            tuple(
-                (
-                    give.target,
-                    tuple((n, self.expression(e, scope, None)) for n, e in give.arguments),
-                )
-                for give in rule.gives
-            ),
+            tuple(sends),
+            self._gives(rule.gives, scope),
             None if rule.within is None else self.expression(rule.within, scope, None),
             gap=False,
+            later=after,
         )
 
-    def _bindings(
-        self, frame: str, fields: tuple[tuple[str, Expression], ...], scope: Scope
-    ) -> tuple[tuple[str, Getter], ...]:
-        types = {
-            field.name: field.type
-            for name in self.codec.trail(frame)
-            for field in self.protocol.frames[name].fields
-        }
-        return tuple((name, self.expression(value, scope, types[name])) for name, value in fields)
+    def _updates(self, updates: tuple[Update, ...], scope: Scope) -> tuple[tuple[int, Getter], ...]:
+        found = []
+        for update in updates:
+            machine, dot, variable = update.variable.rpartition(".")
+            owner = machine if dot else scope.machine or ""
+            variables = self.protocol.machines[owner].variables
+            kind = next(item.type for item in variables if item.name == variable)
+            value = self.expression(update.value, scope, kind)
+            found.append((self.slots[f"{owner}.{variable}"], value))
+        return tuple(found)
+
+    def _gives(
+        self, gives: tuple[Give, ...], scope: Scope
+    ) -> tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]:
+        return tuple(
+            (give.target, tuple((n, self.expression(e, scope, None)) for n, e in give.arguments))
+            for give in gives
+        )
+
+    def _bindings(self, send: Send, scope: Scope) -> tuple[tuple[str, Getter, bool], ...]:
+        """Give field, value, and whether the value waits for other fields of the frame."""
+        types = frame_fields(self.protocol, send.frame)
+        return tuple(
+            (
+                name,
+                self.expression(value, scope, types[name]),
+                any(path.startswith(f"{REPLY}.") for path in names_in(value)),
+            )
+            for name, value in send.fields
+        )
 
     def _views(self, register: Register) -> tuple[View, ...]:
         views = []
@@ -382,7 +455,10 @@ def name_hints(protocol: Protocol, expression: Expression, scope: Scope) -> dict
             case Call(arguments=arguments):
                 for argument in arguments:
                     walk(argument, None)
-            case Literal() | AnyValue():
+            case AnyValue(preferred=preferred):
+                if preferred is not None:
+                    walk(preferred, kind)
+            case Literal():
                 pass
             case _:
                 assert_never(part)

@@ -6,28 +6,40 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, TypeAlias
 
 from ecatspec.model.evaluate import Environment, Function
+from ecatspec.model.functions import LONGEST
 from ecatspec.model.values import UNKNOWN, Pattern, Value
-from ecatspec.spec.language.ir import Access, Bool, ObjectEntry, SInt, Text, UInt
+from ecatspec.spec.language.ir import Access, Bool, Bytes, Literal, ObjectEntry, SInt, Text, UInt
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from ecatspec.model.values import ObjectKey
-    from ecatspec.spec.language.ir import Protocol
+    from ecatspec.spec.language.ir import Protocol, Type
 
 AlState: TypeAlias = Callable[[Environment], Value]
 _Test: TypeAlias = Callable[[ObjectEntry, Environment, tuple[Value, ...]], Value]
+_BYTE = 8
 
 
 class ObjectDictionary:
-    """The declared objects of one protocol and the built-in functions over them."""
+    """The declared objects of one protocol and the built-in functions over them.
 
-    def __init__(self, protocol: Protocol, al_state: AlState) -> None:
+    `exact`: a device asks for its own objects, whose values it knows; else somebody watches it,
+    who must accept every form in which the value may come.
+    """
+
+    def __init__(self, protocol: Protocol, al_state: AlState, *, exact: bool) -> None:
         """Index the entries; `al_state` tells the AL state of an environment."""
         self.entries: dict[ObjectKey, ObjectEntry] = {
             (entry.index, entry.subindex): entry for entry in protocol.objects
         }
         self.closed = protocol.dictionary.closed
+        self._exact = exact
         self._al_state = al_state
         self._states = {row.name: row.value for row in protocol.tables["al_state"].rows}
+        self._types = _rows(protocol, "data_type")
+        self._codes = _rows(protocol, "object_code")
+        self._lists = _rows(protocol, "object_list_type")
         self._highest: dict[int, int] = {}
         for index, subindex in self.entries:
             self._highest[index] = max(self._highest.get(index, 0), subindex)
@@ -38,19 +50,38 @@ class ObjectDictionary:
             "is_plain_variable": lambda _, a: self._highest.get(_number(a[0])) == 0,
             "count_of": lambda _, a: self._highest.get(_number(a[0]), 0),
             "dictionary_closed": lambda _, __: self.closed,
-            "length": lambda _, a: len(a[0]) if isinstance(a[0], bytes) else UNKNOWN,
+            "in_work": lambda e, _: e.parameters.get(CROWDED, False),
             "readable": self._of_entry(lambda e, _, __: e.access is not Access.WRITE),
             "writable": self._of_entry(lambda e, _, __: _writable(e)),
-            "readable_now": self._of_entry(self._readable_now),
-            "writable_now": self._of_entry(self._writable_now),
+            "readable_now": self._of_entry(
+                lambda e, env, _: self._readable(e, self._al_state(env))
+            ),
+            "writable_now": self._of_entry(
+                lambda e, env, _: self._writable(e, self._al_state(env))
+            ),
+            "readable_in": self._of_entry(lambda e, _, a: self._readable(e, a[2])),
+            "writable_in": self._of_entry(lambda e, _, a: self._writable(e, a[2])),
             "is_constant": self._of_entry(lambda e, _, __: e.constant),
             "range_known": self._of_entry(lambda e, _, __: e.low is not None),
             "size_of": self._of_entry(lambda e, _, __: size_of(e)),
+            "size_varies": self._of_entry(lambda e, _, __: size_varies(e)),
+            "size_allowed": self._of_entry(lambda e, _, a: _size_allowed(e, a[2])),
+            "present_size": self._of_entry(self._present_size),
             "value_of": self._of_entry(self._value_of),
-            "fitted": self._of_entry(lambda e, _, a: _cut(a[2], size_of(e))),
             "in_range": self._of_entry(lambda e, _, a: _compare(e, a[2]) == 0),
             "too_high": self._of_entry(lambda e, _, a: _compare(e, a[2]) > 0),
             "too_low": self._of_entry(lambda e, _, a: _compare(e, a[2]) < 0),
+            "complete_known": lambda _, a: self._complete_known(_number(a[0])),
+            "complete_size": lambda _, a: self._complete_size(_number(a[0]), _number(a[1])),
+            "complete_value": self._complete_value,
+            "complete_in_range": lambda _, a: self._complete_in_range(*a),
+            "complete_readable": lambda _, a: self._complete_readable(*a),
+            "complete_writable": self._complete_writable,
+            "object_list": lambda _, a: self._object_list(_number(a[0])),
+            "object_code_of": lambda _, a: self._object_code(_number(a[0])),
+            "highest_subindex": lambda _, a: self._told(self._highest.get(_number(a[0]), 0)),
+            "data_type_of": self._of_entry(lambda e, _, __: self._told(self._types[type_name(e)])),
+            "bit_length_of": self._of_entry(lambda e, _, __: self._bit_length(e)),
         }
 
     def highest(self, index: int) -> int:
@@ -71,36 +102,168 @@ class ObjectDictionary:
 
         return function
 
-    def _in_state(self, entry: ObjectEntry, environment: Environment) -> Value:
+    def _told(self, value: int) -> Value:
+        """What a device tells of an object; one with objects of its own may know better."""
+        return value if self._exact or self.closed else UNKNOWN
+
+    # --- access -----------------------------------------------------------------------------------
+
+    def _in_state(self, entry: ObjectEntry, state: Value) -> Value:
         if not entry.states:
             return True
-        now = self._al_state(environment)
-        if isinstance(now, Pattern):
+        if isinstance(state, Pattern):
             return UNKNOWN
-        return now in {self._states[name] for name in entry.states}
+        return state in {self._states[name] for name in entry.states}
 
-    def _readable_now(self, entry: ObjectEntry, _: Environment, __: tuple[Value, ...]) -> Value:
+    def _readable(self, entry: ObjectEntry, _: Value) -> Value:
         return entry.access is not Access.WRITE
 
-    def _writable_now(
+    def _writable(self, entry: ObjectEntry, state: Value) -> Value:
+        return _writable(entry) and self._in_state(entry, state)
+
+    # --- one entry --------------------------------------------------------------------------------
+
+    def _present_size(
         self, entry: ObjectEntry, environment: Environment, _: tuple[Value, ...]
     ) -> Value:
-        return _writable(entry) and self._in_state(entry, environment)
+        most = size_of(entry)
+        if not size_varies(entry):
+            return most
+        known = self._known(entry, environment)
+        if self._exact:
+            return len(known or b"")
+        return Pattern(((len(known or b""), most),))
 
     def _value_of(
         self, entry: ObjectEntry, environment: Environment, _: tuple[Value, ...]
     ) -> Value:
-        key = (entry.index, entry.subindex)
+        known = self._known(entry, environment)
+        most = size_of(entry)
+        least = 0 if size_varies(entry) else most
+        if known is None:
+            into = None if entry.volatile else (entry.index, entry.subindex)
+            return Pattern(into=into, lengths=(least, most))
+        if self._exact or not size_varies(entry):
+            return known
+        return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"))
+
+    def _known(self, entry: ObjectEntry, environment: Environment) -> bytes | None:
         if entry.constant and entry.default is not None:
             return encode_value(entry, entry.default)
-        if entry.volatile:
+        if entry.volatile and not self._exact:
+            return None
+        return environment.objects.get((entry.index, entry.subindex))
+
+    # --- complete access --------------------------------------------------------------------------
+
+    def _layout(self, index: int, first: int) -> Iterator[tuple[ObjectEntry, int]]:
+        """Yield the entries from subindex `first` on and the bytes that each takes."""
+        for subindex in range(first, self._highest.get(index, -1) + 1):
+            entry = self.entries.get((index, subindex))
+            if entry is not None:
+                yield entry, 2 * size_of(entry) if subindex == 0 else size_of(entry)
+
+    def _complete_known(self, index: int) -> bool:
+        """Tell whether the layout follows from the texts: no gaps, nothing smaller than a byte."""
+        entries = [entry for entry, _ in self._layout(index, 0)]
+        whole = all(not isinstance(entry.type, Bool) for entry in entries)
+        return whole and (self.closed or self._exact) and self._gapless(index)
+
+    def _gapless(self, index: int) -> bool:
+        return all((index, number) in self.entries for number in range(self._highest[index] + 1))
+
+    def _complete_size(self, index: int, first: int) -> Value:
+        if not (self._exact or self._complete_known(index)):
             return UNKNOWN
-        known = environment.objects.get(key)
-        return Pattern(into=key) if known is None else known
+        return sum(size for _, size in self._layout(index, first))
+
+    def _complete_value(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        index, first = _number(arguments[0]), _number(arguments[1])
+        if not (self._exact or self._complete_known(index)):
+            return Pattern(lengths=(0, LONGEST))
+        content, mask = b"", b""
+        for entry, size in self._layout(index, first):
+            known = None
+            if entry.access is not Access.WRITE:
+                value = self._value_of(entry, environment, ())
+                known = value if isinstance(value, bytes) else None
+            if self._exact:
+                known = known or b""
+            content += (known or b"").ljust(size, b"\0")
+            mask += (b"\0" if known is None else b"\xff") * size
+        if self._exact:
+            return content
+        return Pattern(lengths=(len(content), len(content)), content=content, mask=mask)
+
+    def _complete_readable(self, index: Value, first: Value) -> Value:
+        layout = self._layout(_number(index), _number(first))
+        return all(entry.access is not Access.WRITE for entry, _ in layout)
+
+    def _complete_writable(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        now = self._al_state(environment)
+        layout = self._layout(_number(arguments[0]), _number(arguments[1]))
+        rights = [self._writable(entry, now) for entry, _ in layout]
+        return UNKNOWN if any(isinstance(r, Pattern) for r in rights) else all(rights)
+
+    def split(
+        self, environment: Environment, index: int, first: int, data: bytes
+    ) -> Iterator[tuple[ObjectKey, bytes]]:
+        """Yield what a complete download of `data` writes; entries that cannot be are skipped."""
+        offset = 0
+        for entry, size in self._layout(index, first):
+            part, offset = data[offset : offset + size], offset + size
+            now = self._writable(entry, self._al_state(environment))
+            if now is True and len(part) == size:
+                held = part[: size_of(entry)]
+                if size_varies(entry):
+                    held = held.rstrip(b"\0")
+                yield (entry.index, entry.subindex), held
+
+    def _complete_in_range(self, index: Value, first: Value, data: Value) -> Value:
+        if not isinstance(data, bytes):
+            return UNKNOWN
+        offset = 0
+        for entry, size in self._layout(_number(index), _number(first)):
+            part, offset = data[offset : offset + size], offset + size
+            if _writable(entry) and len(part) == size and _compare(entry, part):
+                return False
+        return True
+
+    # --- SDO information --------------------------------------------------------------------------
+
+    def _object_list(self, kind: int) -> Value:
+        listed = b"".join(index.to_bytes(2, "little") for index in sorted(self._highest))
+        if kind == self._lists["all"]:
+            if self._exact or self.closed:
+                return listed
+        elif self._exact:
+            counts = (len(self._highest), 0, 0, 0, 0)
+            told = b"".join(count.to_bytes(2, "little") for count in counts)
+            return told if kind == self._lists["lengths"] else b""
+        return Pattern(lengths=(0, LONGEST))
+
+    def _object_code(self, index: int) -> Value:
+        if not self._highest.get(index):
+            return self._told(self._codes["variable"])
+        if self._exact:
+            return self._codes["record"]
+        return Pattern(((self._codes["array"], self._codes["record"]),))
+
+    def _bit_length(self, entry: ObjectEntry) -> Value:
+        if size_varies(entry) and not self._exact:
+            return UNKNOWN
+        width = entry.type.width if isinstance(entry.type, UInt | SInt) else None
+        if isinstance(entry.type, Bool):
+            width = 1
+        return self._told(_BYTE * size_of(entry) & 0xFF_FF if width is None else width)
 
 
-def _cut(data: Value, size: int) -> Value:
-    return data[:size] if isinstance(data, bytes) else UNKNOWN
+CROWDED = "request in work"
+"""The parameter of a mailbox input that tells whether an earlier one was unanswered."""
+
+
+def _rows(protocol: Protocol, table: str) -> dict[str, int]:
+    return {row.name: row.value for row in protocol.tables[table].rows}
 
 
 def _number(value: Value) -> int:
@@ -112,30 +275,61 @@ def _writable(entry: ObjectEntry) -> bool:
 
 
 def size_of(entry: ObjectEntry) -> int:
-    """Give the size of an entry in bytes; for a text its maximum."""
+    """Give the size of an entry in bytes; for a text or byte string its maximum."""
     match entry.type:
         case UInt(width=width) | SInt(width=width):
-            return (width + 7) // 8
+            return (width + 7) // _BYTE
         case Bool():
             return 1
         case Text(maximum=maximum):
             return maximum
+        case Bytes(length=Literal(value=maximum)):
+            return maximum
         case _:
             raise TypeError(f"{entry.at}: {entry.type} is no type of an object")
+
+
+def size_varies(entry: ObjectEntry) -> bool:
+    """Tell whether the entry may hold fewer bytes than its maximum."""
+    return isinstance(entry.type, Text | Bytes)
+
+
+def type_name(entry: ObjectEntry) -> str:
+    """Give the row of the table of data types that an entry has."""
+    names: dict[type[Type], str] = {
+        Bool: "boolean",
+        Text: "visible_string",
+        Bytes: "octet_string",
+    }
+    match entry.type:
+        case UInt(width=width):
+            return f"unsigned{width}"
+        case SInt(width=width):
+            return f"integer{width}"
+        case _:
+            return names[type(entry.type)]
 
 
 def encode_value(entry: ObjectEntry, value: int | str) -> bytes:
     """Give the bytes of a value of this entry as they travel."""
     if isinstance(value, str):
         return value.encode("latin-1")
+    if size_varies(entry):
+        return b""
     size = size_of(entry)
-    return (value & ((1 << (8 * size)) - 1)).to_bytes(size, "little")
+    return (value & ((1 << (_BYTE * size)) - 1)).to_bytes(size, "little")
 
 
 def decode_value(entry: ObjectEntry, data: bytes) -> int:
     """Give the number that the bytes of this entry hold."""
     signed = isinstance(entry.type, SInt)
     return int.from_bytes(data[: size_of(entry)], "little", signed=signed)
+
+
+def _size_allowed(entry: ObjectEntry, size: Value) -> Value:
+    if isinstance(size, Pattern):
+        return UNKNOWN
+    return _number(size) <= size_of(entry) if size_varies(entry) else size == size_of(entry)
 
 
 def _compare(entry: ObjectEntry, data: Value) -> int:

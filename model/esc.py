@@ -7,7 +7,7 @@ from the texts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ecatspec.spec.language.ir import Access, Bool
@@ -34,7 +34,7 @@ def field_mask(protocol: Protocol, register: str, field: str) -> int:
 
 
 @dataclass(slots=True)
-class _Channel:
+class Channel:
     """One mailbox SyncManager as set now."""
 
     name: str
@@ -44,9 +44,11 @@ class _Channel:
     full: bool = False
 
     def overlaps(self, address: int, length: int) -> bool:
+        """Tell whether an access touches the area."""
         return address < self.start + self.length and self.start < address + length
 
     def reaches_end(self, address: int, length: int) -> bool:
+        """Tell whether an access covers the last byte of the area, which changes hands with it."""
         return address < self.start + self.length <= address + length
 
 
@@ -60,7 +62,7 @@ class Esc:
         self._memory = bytearray(self.size)
         self._events = 0
         self._al_control_locked = False
-        self._channels: list[_Channel] = []
+        self._channels: list[Channel] = []
         self._al_bit = 1 << model.parameter("al_control_event")
         self._change_bit = 1 << model.parameter("sync_manager_change_event")
         self._first_bit = model.parameter("first_sync_manager_event")
@@ -150,7 +152,7 @@ class Esc:
             if self._enabled(name) and mode == self._mailbox_mode and length:
                 direction = field_of(self._protocol, name, "direction", raw)
                 start = field_of(self._protocol, name, "start", raw)
-                channel = _Channel(name, start, length, direction == self._main_writes)
+                channel = Channel(name, start, length, direction == self._main_writes)
                 old = before.get(name)
                 channel.full = bool(old and old.full and old.start == start)
                 self._channels.append(channel)
@@ -158,7 +160,7 @@ class Esc:
             else:
                 self.set_register(f"{name}_status", 0)
 
-    def _set_full(self, channel: _Channel, *, full: bool) -> None:
+    def _set_full(self, channel: Channel, *, full: bool) -> None:
         channel.full = full
         status = f"{channel.name}_status"
         mask = field_mask(self._protocol, status, "full")
@@ -202,12 +204,15 @@ class Esc:
             if not channel.main_writes and channel.reaches_end(address, len(data)):
                 self._set_full(channel, full=True)
 
-    def channel(self, name: str) -> tuple[int, int, bool] | None:
-        """Give start, length and fullness of a mailbox that is set up, else None."""
+    def channel(self, name: str) -> Channel | None:
+        """Give a mailbox as it is now, None where it is not set up."""
+        return next((replace(c) for c in self._channels if c.name == name), None)
+
+    def empty(self, name: str) -> None:
+        """Take back what was put into a mailbox and not read, by switching its SyncManager."""
         for channel in self._channels:
             if channel.name == name:
-                return channel.start, channel.length, channel.full
-        return None
+                self._set_full(channel, full=False)
 
 
 def _overlap(register: Register, address: int, length: int) -> bool:

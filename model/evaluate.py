@@ -78,8 +78,8 @@ def compile_expression(
             return lambda _: constant
         case Name():
             return lookup(expression)
-        case AnyValue():
-            return lambda _: UNKNOWN
+        case AnyValue(preferred=preferred):
+            return (lambda _: UNKNOWN) if preferred is None else _preference(compiled(preferred))
         case Unary(operator="not", operand=operand):
             return _negation(compiled(operand))
         case Unary(operand=operand):
@@ -114,6 +114,14 @@ def _bounds(
         return compiled(item.low), compiled(item.high)
     getter = compiled(item)
     return getter, getter
+
+
+def _preference(preferred: Getter) -> Getter:
+    def preference(environment: Environment) -> Value:
+        value = preferred(environment)
+        return Pattern(preferred=value) if isinstance(value, int) else UNKNOWN
+
+    return preference
 
 
 def _negation(operand: Getter) -> Getter:

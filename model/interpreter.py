@@ -8,14 +8,16 @@ from ecatspec.model.compiled import rows_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.state import Event, Output, RuleName, State, Step
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
+from ecatspec.spec.language.scope import REPLY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import CompiledRule, Model
+    from ecatspec.model.evaluate import Getter
 
-DELIVER = "deliver"
+DELIVER, RESEND = "deliver", "resend"
 
 
 def step(model: Model, state: State, event: Event) -> tuple[Step, ...]:
@@ -45,6 +47,7 @@ def _joined(before: Step, after: Step) -> Step:
         before.outputs + after.outputs,
         max(before.within, after.within),
         before.unspecified or after.unspecified,
+        after.resend or before.resend,
     )
 
 
@@ -90,34 +93,77 @@ def _apply(
         return [(Step(forgotten, (rule.name,), (), 0, unspecified=True), ())]
     environment = Environment(state.slots, state.known(), event.parameters)
     values = [(slot, getter(environment)) for slot, getter in rule.updates]
-    stores = [tuple(getter(environment) for getter in store) for store in rule.store]
-    outputs = tuple(
-        Output(frame, tuple((name, getter(environment)) for name, getter in fields), rule.name)
-        for frame, fields in rule.sends
-    )
-    given = [
-        (target, {name: getter(environment) for name, getter in arguments})
-        for target, arguments in rule.gives
+    stores = [
+        (index(environment), subindex(environment), content(environment), complete)
+        for index, subindex, content, complete in rule.store
     ]
+    sends = [
+        (frame, tuple((name, getter(environment)) for name, getter in fields))
+        for frame, fields in rule.sends
+    ]
+    given = _arguments(rule.gives, environment)
+    within = 0 if rule.within is None else rule.within(environment)
     if environment.undecided:
         return _decide(model, state, event, min(environment.undecided))
-    within = 0 if rule.within is None else rule.within(environment)
-    after = state
-    for slot, value in values:
-        after = after.having(slot, value)
+    after = _updated(state, values)
     if rule.target is not None:
         after = after.having(model.slots[f"{event.machine}.state"], rule.target)
-    for index, subindex, content in stores:
-        if isinstance(index, int) and isinstance(subindex, int) and isinstance(content, bytes):
-            after = after.keeping((index, subindex), content)
+    for index, subindex, content, complete in stores:
+        after = _stored(model, environment, after, (index, subindex), content, complete=complete)
     limit = within if isinstance(within, int) else 0
+    kept = None if rule.later is None else tuple(sorted(event.parameters.items()))
+    outputs = tuple(Output(frame, fields, rule.name, kept, limit) for frame, fields in sends)
+    resend = rule.name if any(target == RESEND for target, _ in given) else None
     events = tuple(
         e for target, arguments in given for e in _given(model, event, target, arguments)
     )
-    return [(Step(after, (rule.name,), outputs, limit), events)]
+    return [(Step(after, (rule.name,), outputs, limit, resend=resend), events)]
+
+
+def _arguments(
+    gives: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...], environment: Environment
+) -> list[tuple[str, dict[str, Value]]]:
+    return [
+        (target, {name: getter(environment) for name, getter in arguments})
+        for target, arguments in gives
+    ]
+
+
+def _updated(state: State, values: list[tuple[int, Value]]) -> State:
+    for slot, value in values:
+        state = state.having(slot, value)
+    return state
+
+
+def _stored(
+    model: Model,
+    environment: Environment,
+    state: State,
+    place: tuple[Value, Value],
+    content: Value,
+    *,
+    complete: bool,
+) -> State:
+    """Give the state after a write; what is written but not known makes the object unknown."""
+    index, subindex = place
+    if not isinstance(index, int) or not isinstance(subindex, int):
+        return state
+    if not complete:
+        key = (index, subindex)
+        return state.keeping(key, content) if isinstance(content, bytes) else state.forgetting(key)
+    if isinstance(content, bytes):
+        for key, part in model.dictionary.split(environment, index, subindex, content):
+            state = state.keeping(key, part)
+        return state
+    for key in model.dictionary.entries:
+        if key[0] == index:
+            state = state.forgetting(key)
+    return state
 
 
 def _given(model: Model, event: Event, target: str, arguments: Mapping[str, Value]) -> list[Event]:
+    if target == RESEND:
+        return []
     if target != DELIVER:
         machine, _, name = target.partition(".")
         return [Event(machine, name, arguments)]
@@ -141,8 +187,15 @@ def _forget(model: Model, state: State, machine: str) -> State:
 # --- observations ---
 
 
-def matches(model: Model, state: State, output: Output, message: Message) -> list[State]:
-    """Give the states after the MainDevice read `message` where `output` was due; none: refused."""
+def matches(model: Model, state: State, output: Output, message: Message) -> list[Step]:
+    """Give what may follow when the MainDevice read `message` where `output` was due.
+
+    Nothing: the output does not allow the message.
+    """
+    if output.again is not None:
+        before = model.decode(output.again)
+        same = before is not None and before.fields == message.fields
+        return [Step(state, (), (), 0)] if same else []
     if output.frame not in message.trail:
         return []
     environment = Environment(state.slots, state.known(), {})
@@ -152,6 +205,8 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
         if name not in expected:
             expected[name] = getter(environment)
         keeps[name] = into
+    late = later_fields(model, state, output, message.fields)
+    environment.undecided |= late[1]
     if environment.undecided:
         choice = min(environment.undecided)
         slot = model.slots[f"choice {choice}"]
@@ -161,7 +216,7 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
             for after in matches(model, state.having(slot, alternative.name), output, message)
         ]
     after = state
-    for name, value in expected.items():
+    for name, value in (expected | late[0]).items():
         observed = message.fields[name]
         if not admits(value, observed):
             return []
@@ -170,7 +225,41 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
             after = after.having(model.slots[into], observed)
         if isinstance(value, Pattern) and isinstance(value.into, tuple):
             after = after.keeping(value.into, observed if isinstance(observed, bytes) else b"")
-    return [after]
+    return afterwards(model, after, output, message.fields)
+
+
+def later_fields(
+    model: Model, state: State, output: Output, fields: Mapping[str, Value]
+) -> tuple[dict[str, Value], set[str]]:
+    """Give what a rule says of fields that depend on others of its frame, and open choices."""
+    rule = model.named(output.rule)
+    if output.given is None or rule.later is None:
+        return {}, set()
+    environment = _sent(state, output, fields)
+    later = {name: getter(environment) for name, getter in rule.later.fields}
+    return later, environment.undecided
+
+
+def afterwards(
+    model: Model, state: State, output: Output, fields: Mapping[str, Value]
+) -> list[Step]:
+    """Give what may follow once the fields of an output are fixed: updates, then events."""
+    rule = model.named(output.rule)
+    if output.given is None or rule.later is None:
+        return [Step(state, (), (), 0)]
+    environment = _sent(state, output, fields)
+    values = [(slot, getter(environment)) for slot, getter in rule.later.updates]
+    given = _arguments(rule.later.gives, environment)
+    source = Event(output.rule.machine, "", {})
+    events = tuple(
+        e for target, arguments in given for e in _given(model, source, target, arguments)
+    )
+    return _complete(model, Step(_updated(state, values), (), (), 0), events)
+
+
+def _sent(state: State, output: Output, fields: Mapping[str, Value]) -> Environment:
+    reply = {f"{REPLY}.{name}": value for name, value in fields.items()}
+    return Environment(state.slots, state.known(), dict(output.given or ()) | reply)
 
 
 def expected_fields(model: Model, state: State, output: Output) -> dict[str, Value]:

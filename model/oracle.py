@@ -11,21 +11,28 @@ from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from ecatspec.model.compiled import MAILBOX
+from ecatspec.model.dictionary import CROWDED
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
-from ecatspec.model.interpreter import expected_fields, matches, rule_clauses, step
+from ecatspec.model.interpreter import expected_fields, later_fields, matches, rule_clauses, step
 from ecatspec.model.state import Event, Output, RuleName, State
-from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
+from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, is_any
 from ecatspec.model.words import fields_words, message_words, register_words
 from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
 from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, resolve
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model, View
+    from ecatspec.model.state import Step
     from ecatspec.spec.language.ir import Register
 
-ROOT = "mailbox"
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+REFUSAL = "mailbox_error"
+"""The frame that may overtake an answer: the request came while another was in work."""
 _LIMIT = 256
 
 
@@ -43,10 +50,11 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Pending:
-    """An input that the device has, and until when it may leave it unserved."""
+    """An input that the device has, and until when it may leave it unserved (`within` from now)."""
 
     event: Event
     deadline: int
+    within: int = 0
 
 
 class Loose(IntEnum):
@@ -61,12 +69,18 @@ class Loose(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One explanation: a state, inputs not yet served, replies that lie ready."""
+    """One explanation: a state, inputs not yet served, replies not yet read.
+
+    The first reply lies in the mailbox, at the latest from `ready` on. `last` is the message that
+    the MainDevice read last.
+    """
 
     state: State
     inbox: tuple[Pending, ...] = ()
     outbox: tuple[Output, ...] = ()
     loose: Loose = Loose.NONE
+    ready: int = 0
+    last: bytes | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +144,29 @@ class Oracle:
             return self._write(exchange)
         return self._read(exchange)
 
-    def settled(self, time: int) -> bool:
-        """Tell whether every candidate has served its inputs, or had to by `time`."""
-        return not any(candidate.inbox for candidate in self._expanded(time))
+    def settled(self, time: int, *, unread: bool = False) -> bool:
+        """Tell whether every candidate has served its inputs, or had to by `time`.
+
+        With `unread` replies may lie in the mailbox, and requests behind them.
+        """
+        for candidate in self._expanded(time):
+            if candidate.outbox and not unread:
+                return False
+            if any(not (candidate.outbox and p.event.trail) for p in candidate.inbox):
+                return False
+        return True
 
     def deadline(self) -> int | None:
-        """Give the time by which all inputs that may be unserved must be served."""
+        """Give the time by which all that may still be to come must have come."""
         deadlines = [p.deadline for candidate in self.candidates for p in candidate.inbox]
+        deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
         return max(deadlines, default=None)
+
+    def may_be(self, machine: str, state: str) -> bool:
+        """Tell whether a machine may be in a state, by its name."""
+        slot = self.model.slots[f"{machine}.state"]
+        values = self.model.state_names(machine)
+        return any(values.get(c.state.slots[slot]) == state for c in self.candidates)  # type: ignore[arg-type]
 
     def due_rules(self) -> tuple[RuleName, ...]:
         """Give the rules that may serve the inputs that the device has."""
@@ -245,7 +274,7 @@ class Oracle:
                     )
             changed = replace(candidate, state=state)
             if self._mailboxes_off(state):
-                changed = replace(changed, outbox=())
+                changed = replace(changed, outbox=(), last=None)
             for machine, source in inputs:
                 event = Event(machine, source.name, parameters)
                 pending = self._pending(changed.state, event, exchange.time)
@@ -260,7 +289,7 @@ class Oracle:
         within = max(taken.within for taken in steps)
         if not within and all(taken.state == state and not taken.outputs for taken in steps):
             return None
-        return Pending(event, time + within)
+        return Pending(event, time + within, within)
 
     def _mailboxes_off(self, state: State) -> bool:
         return self._enabled(state, MAIN_IN) is False
@@ -301,11 +330,12 @@ class Oracle:
                 busy = recent or candidate.inbox or candidate.outbox or candidate.loose
                 (after if busy or not self._alive(candidate) else refused)[candidate] = history
                 continue
-            message = self.model.codec.decode(exchange.data, ROOT)
+            message = self.model.decode(exchange.data)
             if message is None:
                 after[replace(candidate, loose=Loose.ALL)] = history
                 continue
-            event = Event("mailbox", "mail", message.fields, message.trail)
+            waiting = any(pending.event.trail for pending in candidate.inbox)
+            event = self.model.mail(message, crowded=bool(candidate.outbox or waiting))
             pending = self._pending(candidate.state, event, exchange.time)
             inbox = candidate.inbox if pending is None else (*candidate.inbox, pending)
             after[replace(candidate, inbox=inbox)] = history
@@ -412,7 +442,12 @@ class Oracle:
             candidate: history
             for candidate, history in before.items()
             if not (full and self._absent(candidate))
-            and (candidate.loose or not self._alive(candidate) or bool(candidate.outbox) == full)
+            and (
+                candidate.loose
+                or not self._alive(candidate)
+                or (full and bool(candidate.outbox or self.model.locals))
+                or (not full and (not candidate.outbox or exchange.time <= candidate.ready))
+            )
         }
         if after:
             self.candidates = after
@@ -439,7 +474,8 @@ class Oracle:
         if area is None or not _covers_end(area, exchange):
             return None
         data = exchange.data[max(0, area[0] - exchange.address) :]
-        message = self.model.codec.decode(data, ROOT)
+        data = data[: area[1]]
+        message = self.model.decode(data)
         before = self._expanded(exchange.time)
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in before.items():
@@ -447,10 +483,11 @@ class Oracle:
                 continue
             if candidate.loose or not self._alive(candidate):
                 loose = Loose.NONE if candidate.loose is Loose.ONE else candidate.loose
-                after[replace(candidate, outbox=candidate.outbox[1:], loose=loose)] = history
-            elif candidate.outbox and message is not None:
-                for state in matches(self.model, candidate.state, candidate.outbox[0], message):
-                    after[replace(candidate, state=state, outbox=candidate.outbox[1:])] = history
+                left = replace(candidate, outbox=candidate.outbox[1:], loose=loose, last=data)
+                after[left] = history
+            elif message is not None:
+                for left, rules in self._taken(candidate, message, exchange.time):
+                    after[replace(left, last=data)] = history + rules
         if after:
             self.candidates = after
             return None
@@ -464,6 +501,38 @@ class Oracle:
             tuple(output for candidate in before for output in candidate.outbox[:1]),
         )
 
+    def _taken(
+        self, candidate: Candidate, message: Message, time: int
+    ) -> Iterator[tuple[Candidate, tuple[RuleName, ...]]]:
+        """Yield what may be left after the MainDevice read `message`, and the rules that fired."""
+        state, outbox = candidate.state, candidate.outbox
+        if outbox:
+            for taken in matches(self.model, state, outbox[0], message):
+                yield self._left(candidate, taken, outbox[1:], time), taken.rules
+        # what happens inside the device shows at any time, before what is due
+        for source in self.model.locals:
+            for cause in step(self.model, state, source):
+                for output in cause.outputs[:1]:
+                    for taken in matches(self.model, cause.state, output, message):
+                        left = self._left(candidate, taken, outbox, time)
+                        yield left, cause.rules + taken.rules
+
+    def _left(
+        self, candidate: Candidate, taken: Step, rest: tuple[Output, ...], time: int
+    ) -> Candidate:
+        state = step(self.model, taken.state, self.model.fetched)[0].state
+        outbox = rest + taken.outputs
+        inbox = candidate.inbox
+        if outbox:
+            ready = time + (outbox[0].within or self.model.parameter("response_timeout"))
+        else:
+            ready = 0
+            inbox = tuple(
+                replace(p, deadline=max(p.deadline, time + p.within)) if p.event.trail else p
+                for p in inbox
+            )
+        return replace(candidate, state=state, inbox=inbox, outbox=outbox, ready=ready)
+
     def _expected_replies(
         self, candidates: dict[Candidate, tuple[RuleName, ...]]
     ) -> dict[str, None]:
@@ -472,7 +541,8 @@ class Oracle:
             if candidate.outbox:
                 output = candidate.outbox[0]
                 fields = expected_fields(self.model, candidate.state, output)
-                stated = {n: v for n, v in fields.items() if v != UNKNOWN}
+                fields |= later_fields(self.model, candidate.state, output, fields)[0]
+                stated = {n: v for n, v in fields.items() if not is_any(v)}
                 expected[fields_words(self.model, output.frame, stated)] = None
             elif not candidate.inbox:
                 expected["no reply"] = None
@@ -492,7 +562,10 @@ class Oracle:
             candidate, history = work.pop()
             if candidate in found:
                 continue
-            if not any(pending.deadline < time for pending in candidate.inbox):
+            if not any(
+                pending.deadline < time and not (candidate.outbox and pending.event.trail)
+                for pending in candidate.inbox
+            ):
                 found[candidate] = history
             first: set[str] = set()
             for position, pending in enumerate(candidate.inbox):
@@ -511,18 +584,31 @@ class Oracle:
         history: tuple[RuleName, ...],
     ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
         was_alive = self._alive(candidate)
-        mail = event.machine == ROOT
+        mail = bool(event.trail)
         served = []
         for taken in step(self.model, candidate.state, event):
-            after = Candidate(
-                taken.state,
-                rest,
-                candidate.outbox + taken.outputs,
-                max(candidate.loose, Loose.ONE if mail and taken.unspecified else Loose.NONE),
+            outbox = candidate.outbox + taken.outputs
+            if mail and candidate.outbox:
+                # a device answers in order, but it may refuse at once what comes too early
+                if not taken.outputs or not event.parameters.get(CROWDED):
+                    continue
+                if taken.outputs[0].frame != REFUSAL:
+                    continue
+                outbox = taken.outputs + candidate.outbox
+            if taken.resend is not None and candidate.last is not None:
+                again = Output(MAILBOX, (), taken.resend, again=candidate.last)
+                outbox = (again, *outbox)
+            after = replace(
+                candidate,
+                state=taken.state,
+                inbox=rest,
+                outbox=outbox,
+                loose=max(candidate.loose, Loose.ONE if mail and taken.unspecified else Loose.NONE),
             )
             alive = self._alive(after)
             if alive != was_alive:
-                after = replace(after, outbox=(), loose=Loose.NONE if alive else Loose.ALL)
+                loose = Loose.NONE if alive else Loose.ALL
+                after = replace(after, outbox=(), loose=loose, last=None)
             if mail and not taken.unspecified and not candidate.outbox:
                 after = replace(after, loose=Loose.NONE)
             self.unspecified = self.unspecified or taken.unspecified
@@ -559,7 +645,7 @@ class Oracle:
     ) -> Mismatch:
         rules = dict.fromkeys(output.rule for output in outputs)
         if not rules:
-            machine = ROOT if subject in {"reply", "mailbox write"} else "al"
+            machine = MAILBOX if subject in {"reply", "mailbox write"} else "al"
             own = ([r for r in h if r.machine == machine] for h in before.values())
             rules = dict.fromkeys(history[-1] for history in own if history)
         clauses = dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule))

@@ -28,6 +28,10 @@ class State:
         objects[key] = value
         return State(self.slots, tuple(sorted(objects.items())))
 
+    def forgetting(self, key: ObjectKey) -> State:
+        """Give the state in which the value of the object `key` is not known."""
+        return State(self.slots, tuple(pair for pair in self.objects if pair[0] != key))
+
     def having(self, slot: int, value: Value | None) -> State:
         """Give the state with another value in one slot."""
         if self.slots[slot] == value and type(self.slots[slot]) is type(value):
@@ -59,11 +63,19 @@ class RuleName:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A frame that the device owes; `fields` are what the rule says of it, others are default."""
+    """A frame that the device owes; `fields` are what the rule says of it, others are default.
+
+    `given` are the parameters of the rule's input where the rule goes on once the frame is fixed.
+    `within`: how long the device may take once nothing is before it. `again` holds the bytes
+    of a message that is repeated.
+    """
 
     frame: str
     fields: tuple[tuple[str, Value], ...]
     rule: RuleName
+    given: tuple[tuple[str, Value], ...] | None = None
+    within: int = 0
+    again: bytes | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,3 +90,5 @@ class Step:
     outputs: tuple[Output, ...]
     within: int
     unspecified: bool = False
+    resend: RuleName | None = None
+    """The rule that puts the message read last back before all that is unread."""

@@ -7,30 +7,49 @@ takes the first value; conditions of the device are as the texts assume.
 from __future__ import annotations
 
 from collections.abc import Callable
+from enum import StrEnum
 from typing import TYPE_CHECKING, TypeAlias
 
-from ecatspec.model.codec import Message, concrete
-from ecatspec.model.compiled import Model
+from ecatspec.model.compiled import MAILBOX, Model
 from ecatspec.model.dictionary import encode_value
 from ecatspec.model.esc import SYNC_MANAGERS, Esc, field_of
 from ecatspec.model.evaluate import Environment
-from ecatspec.model.interpreter import expected_fields, step
+from ecatspec.model.interpreter import afterwards, expected_fields, later_fields, step
 from ecatspec.model.state import Event, Output, State, Step
-from ecatspec.model.values import Pattern, Value
+from ecatspec.model.values import Pattern, Value, concrete
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ecatspec.model.codec import Message
     from ecatspec.spec.language.ir import Protocol
 
 SdoServer: TypeAlias = Callable[[bytes], list[bytes]]
-ROOT = "mailbox"
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+
+
+class Quirk(StrEnum):
+    """A mistake in how a device handles its mailbox memory, which no text can describe."""
+
+    OVERWRITES = "overwrites"
+    """A request is served while the answer before is unread, and its answer put over that one."""
+    SHORT_WRITES = "short_writes"
+    """The last byte of the area is not written, so that the mailbox never becomes full."""
+    LOSES_UNREAD = "loses_unread"
+    """A repeated message is put over the one that was not read yet."""
 
 
 class VirtualSubDevice:
     """A SubDevice made of a protocol; `sdo_server` may serve SDO requests in its place."""
 
-    def __init__(self, protocol: Protocol, sdo_server: SdoServer | None = None) -> None:
-        """Compile the protocol and power on."""
+    def __init__(
+        self,
+        protocol: Protocol,
+        sdo_server: SdoServer | None = None,
+        quirks: frozenset[Quirk] = frozenset(),
+    ) -> None:
+        """Compile the protocol and power on; `quirks` are mistakes of the layer below the texts."""
+        self.quirks = quirks
         self.model = Model(protocol, assuming=True)
         self.model.dictionary.close()
         self._sdo_server = sdo_server
@@ -54,11 +73,18 @@ class VirtualSubDevice:
         self.esc = Esc(self.model)
         self.state = self._power_on
         self._queue: list[bytes] = []
+        self._unread: bytes | None = None
+        self._last: bytes | None = None
         self._show()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""
+        before = self.esc.channel(MAIN_IN)
         result = self.esc.main_read(address, length)
+        after = self.esc.channel(MAIN_IN)
+        if before is not None and after is not None and before.full and not after.full:
+            self._last, self._unread = self._unread, None
+            self._run(self.model.fetched)
         self.poll()
         return result
 
@@ -71,6 +97,11 @@ class VirtualSubDevice:
     def advance(self, seconds: float) -> None:
         """Let time pass; this device answers at once, so nothing is left to do."""
         del seconds
+        self.poll()
+
+    def happen(self, machine: str, event: str, parameters: Mapping[str, Value]) -> None:
+        """Let something happen inside the device that a machine has as local input."""
+        self._run(Event(machine, event, parameters))
         self.poll()
 
     # --- the device's side ------------------------------------------------------------------------
@@ -95,7 +126,12 @@ class VirtualSubDevice:
             at = self.model.protocol.registers[f"{name}_activation"]
             self.esc.pdi_read(at.address, at.size)
         self._registers()
-        self._run(Event("al", "settings", {}))
+        for machine in self.model.protocol.machines.values():
+            for source in machine.inputs:
+                if source.kind == "write" and any(
+                    o.startswith(SYNC_MANAGERS) for o in source.origin
+                ):
+                    self._run(Event(machine.name, source.name, {}))
 
     def _take_request(self) -> None:
         at = self.model.protocol.registers["al_control"]
@@ -108,32 +144,58 @@ class VirtualSubDevice:
         self._run(Event("al", "request", parameters))
 
     def _serve_mailbox(self) -> None:
-        inbox, outbox = self.esc.channel(MAIN_OUT), self.esc.channel(MAIN_IN)
-        if inbox is not None and inbox[2] and not self._queue and outbox and not outbox[2]:
-            data = self.esc.pdi_read(inbox[0], inbox[1])
-            message = self.model.codec.decode(data, ROOT)
+        outbox = self.esc.channel(MAIN_IN)
+        if outbox is None:
+            self._unread = None
+            return
+        free = not outbox.full or Quirk.OVERWRITES in self.quirks
+        inbox = self.esc.channel(MAIN_OUT)
+        if inbox is not None and inbox.full and not self._queue and free:
+            message = self.model.decode(self.esc.pdi_read(inbox.start, inbox.length))
             if message is not None:
-                self._run(Event("mailbox", "mail", message.fields, message.trail), message)
-        if self._queue and outbox is not None and not outbox[2]:
-            reply = self._queue.pop(0)
-            self.esc.pdi_write(outbox[0], reply.ljust(outbox[1], b"\0"))
+                self._run(self.model.mail(message, crowded=False), message)
+        if self._queue and free:
+            self._unread = self._queue.pop(0)
+            reply = self._unread[: outbox.length]
+            if Quirk.SHORT_WRITES in self.quirks:
+                self.esc.pdi_write(outbox.start, reply[: outbox.length - 1])
+            else:
+                self.esc.pdi_write(outbox.start, reply.ljust(outbox.length, b"\0"))
 
     def _run(self, event: Event, message: Message | None = None) -> None:
-        before = self._al_state()
         taken = step(self.model, self.state, event)[0]
         if taken.unspecified and not _delivered(taken):
             return
-        settled = tuple(None if v is None else concrete(v) for v in taken.state.slots)
-        self.state = State(settled, taken.state.objects)
-        if self._al_state() != before:
-            self._queue.clear()
+        was_alive = self._alive()
+        self._settle(taken.state)
+        if self._alive() != was_alive:
+            self._queue, self._unread, self._last = [], None, None
+        if taken.resend is not None and self._last is not None:
+            waiting = [] if self._unread is None else [self._unread]
+            if Quirk.LOSES_UNREAD in self.quirks:
+                waiting = []
+            self._queue = [self._last, *waiting, *self._queue]
+            self.esc.empty(MAIN_IN)
         if self._sdo_server and message and self._is_sdo(message) and _delivered(taken):
             self._queue += self._served(self._sdo_server, message)
         else:
-            self._queue += [self._encoded(output) for output in taken.outputs]
+            self._send(taken.outputs)
 
-    def _al_state(self) -> Value | None:
-        return self.state.slots[self.model.slots["al.state"]]
+    def _send(self, outputs: tuple[Output, ...]) -> None:
+        for output in outputs:
+            fields = self._formed(output)
+            self._queue.append(self.model.codec.encode(output.frame, fields))
+            following = afterwards(self.model, self.state, output, fields)[0]
+            self._settle(following.state)
+            self._send(following.outputs)
+
+    def _settle(self, state: State) -> None:
+        settled = tuple(None if v is None else concrete(v) for v in state.slots)
+        self.state = State(settled, state.objects)
+
+    def _alive(self) -> bool:
+        alive = self.model.definition("mailbox_alive")
+        return alive(Environment(self.state.slots, {}, {})) is True
 
     def _is_sdo(self, message: Message) -> bool:
         return message.fields.get("service") == self._request_service
@@ -144,16 +206,19 @@ class VirtualSubDevice:
         replies = []
         for answer in server(body if isinstance(body, bytes) else b""):
             trial = codec.encode("coe", {"service": self._request_service, "body": answer})
-            decoded = codec.decode(trial, ROOT)
+            decoded = codec.decode(trial, MAILBOX)
             aborts = decoded is not None and decoded.frame == "sdo_abort"
             service = self._request_service if aborts else self._response_service
             defaults = self._defaults("coe")
             replies.append(codec.encode("coe", {**defaults, "service": service, "body": answer}))
         return replies
 
-    def _encoded(self, output: Output) -> bytes:
-        fields = expected_fields(self.model, self.state, output)
-        return self.model.codec.encode(output.frame, self._concrete(fields, output.frame))
+    def _formed(self, output: Output) -> dict[str, Value]:
+        """Choose the fields of a frame, those that depend on others last."""
+        fields = self._concrete(expected_fields(self.model, self.state, output), output.frame)
+        for name in later_fields(self.model, self.state, output, fields)[0]:
+            fields[name] = concrete(later_fields(self.model, self.state, output, fields)[0][name])
+        return fields
 
     def _defaults(self, frame: str) -> dict[str, Value]:
         environment = Environment(self.state.slots, {}, {})
@@ -165,7 +230,7 @@ class VirtualSubDevice:
         for name, value in fields.items():
             into = self.model.replies[frame].get(name, (None, None))[1]
             after = self.state.slots[self.model.slots[into]] if into else 0
-            taken = concrete(value, after) if isinstance(after, int) else concrete(value)
+            taken = concrete(value, after) if into and isinstance(after, int) else concrete(value)
             chosen[name] = taken
             if into:
                 self.state = self.state.having(self.model.slots[into], taken)
@@ -185,4 +250,4 @@ class VirtualSubDevice:
 
 def _delivered(taken: Step) -> bool:
     """Tell whether the mailbox took the message and handed it on."""
-    return any(rule.machine == ROOT for rule in taken.rules) and len(taken.rules) > 1
+    return any(rule.machine == MAILBOX for rule in taken.rules) and len(taken.rules) > 1

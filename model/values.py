@@ -12,29 +12,54 @@ ObjectKey: TypeAlias = tuple[int, int]
 class Pattern:
     """What a value may be: one of `ranges` (None: anything) but not `excluded`.
 
-    `into` names where the observed value goes: a slot of the state or an object.
+    With `lengths` it is a byte string of so many bytes (least, most) that begins like `content`
+    (None: anything); where `mask` has a zero byte the content is not known. `into` names where the
+    observed value goes: a slot of the state or an object. `preferred` is what the model takes
+    where it has to act itself.
     """
 
     ranges: tuple[tuple[int, int], ...] | None = None
     excluded: int | None = None
     into: str | ObjectKey | None = None
+    lengths: tuple[int, int] | None = None
+    content: bytes | None = None
+    mask: bytes | None = None
+    preferred: int | None = None
 
     def admits(self, value: Value) -> bool:
         """Tell whether the concrete `value` is acceptable."""
+        if self.lengths is not None:
+            return isinstance(value, bytes) and self._admits_bytes(value, self.lengths)
         if self.ranges is None:
             return True
         if isinstance(value, bytes | str | Pattern):
             return False
         return value != self.excluded and any(low <= value <= high for low, high in self.ranges)
 
-    def first(self, after: int = 0) -> int:
+    def _admits_bytes(self, value: bytes, lengths: tuple[int, int]) -> bool:
+        if not lengths[0] <= len(value) <= lengths[1]:
+            return False
+        if self.content is None:
+            return True
+        if self.mask is None:
+            return self.content[: len(value)] == value
+        # beyond the content nothing is known
+        known = zip(value, self.content, self.mask, strict=False)
+        return all(seen == wanted or not certain for seen, wanted, certain in known)
+
+    def first(self, after: int = -1) -> int:
         """Give the smallest acceptable number above `after`, wrapping to the smallest of all."""
         if self.ranges is None:
-            return 0
+            return 0 if self.preferred is None else self.preferred
         wanted = [n for n in (self._from(after + 1), self._from(0)) if n is not None]
         if not wanted:
             raise ValueError(f"no number is acceptable in {self}")
         return wanted[0]
+
+    def longest(self) -> bytes:
+        """Give the longest acceptable byte string."""
+        least, most = self.lengths or (0, 0)
+        return (self.content or b"")[:most].ljust(least, b"\0")
 
     def _from(self, least: int) -> int | None:
         candidates = []
@@ -56,6 +81,14 @@ class Pattern:
             for bottom, top in other.ranges
         )
 
+    def piece(self, offset: int, least: int, most: int) -> Pattern:
+        """Give what a piece of such a byte string may be, `least` to `most` bytes long."""
+        if self.lengths is not None:
+            most = min(most, max(0, self.lengths[1] - offset))
+        content = None if self.content is None else self.content[offset:]
+        mask = None if self.mask is None else self.mask[offset:]
+        return Pattern(lengths=(min(least, most), most), content=content, mask=mask)
+
 
 Value: TypeAlias = "int | bool | bytes | str | Pattern"
 UNKNOWN = Pattern()
@@ -66,3 +99,15 @@ def admits(expected: Value, observed: Value) -> bool:
     if isinstance(expected, Pattern):
         return expected.admits(observed)
     return expected == observed
+
+
+def is_any(value: Value) -> bool:
+    """Tell whether nothing is said of the value."""
+    return isinstance(value, Pattern) and value.ranges is None and value.lengths is None
+
+
+def concrete(value: Value, after: int = -1) -> Value:
+    """Give a value that a device may send where `value` is what is acceptable."""
+    if not isinstance(value, Pattern):
+        return value
+    return value.first(after) if value.lengths is None else value.longest()

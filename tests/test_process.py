@@ -105,7 +105,7 @@ def living_group(leader: int) -> list[str]:
 
 
 def gone(leader: int) -> bool:
-    """Whether the group dies soon: a signal has been sent to all of it, but only the leader is waited for."""
+    """Whether the group dies soon: all of it got a signal, only the leader was waited for."""
     deadline = time.monotonic() + 10
     while living_group(leader) and time.monotonic() < deadline:
         time.sleep(0.01)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections import Counter
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
@@ -26,6 +26,8 @@ from ecatspec.spec.language.ir import (
     Definition,
     Dictionary,
     Example,
+    Extend,
+    Fault,
     Frame,
     Gap,
     In,
@@ -42,6 +44,7 @@ from ecatspec.spec.language.ir import (
     Register,
     Remove,
     Replace,
+    ReplaceField,
     Rule,
     SetParameter,
     SInt,
@@ -72,6 +75,7 @@ from ecatspec.spec.language.scope import (
     kind_of,
     kind_of_ref,
     known_names,
+    names_in,
     resolve,
     width_of,
 )
@@ -79,12 +83,22 @@ from ecatspec.spec.language.scope import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from ecatspec.spec.language.ir import Declaration, Expression, Protocol, Send, SourceText
+    from ecatspec.spec.language.ir import (
+        Declaration,
+        Expression,
+        Give,
+        Protocol,
+        Send,
+        SourceText,
+        Update,
+    )
 
 _LAYOUT_WORDS: Final = ("reserved", "padding", "data")
 """Names that several frames around each other may use: nobody refers to them."""
 
-_Statement: TypeAlias = Pin | Close | SetParameter | Replace | Remove | Dictionary
+_Statement: TypeAlias = (
+    Pin | Close | SetParameter | Replace | Remove | Extend | ReplaceField | Dictionary
+)
 _BITS: Final = 8
 
 
@@ -206,6 +220,10 @@ def _key(declaration: Declaration) -> tuple[str, str]:
             key = "setting", declaration.name
         case Replace() | Remove():
             key = "change of rule", f"{declaration.machine}.{declaration.rule}"
+        case ReplaceField():
+            key = "change of field", f"{declaration.frame}.{declaration.name}"
+        case Extend():
+            key = "extension of machine", declaration.machine
         case Dictionary():
             key = "dictionary", ""
         case (
@@ -217,6 +235,7 @@ def _key(declaration: Declaration) -> tuple[str, str]:
             | Condition()
             | Definition()
             | Example()
+            | Fault()
         ):
             key = type(declaration).__name__.lower(), declaration.name
         case _:
@@ -240,16 +259,17 @@ def _twice_inside(declaration: Declaration) -> Iterator[Diagnostic]:
             ]
         case Choice():
             named += [("alternative", a.name, declaration.at) for a in declaration.alternatives]
-        case Machine():
+        case Machine() | Extend():
             named += [("variable", v.name, v.at) for v in declaration.variables]
             named += [("input", item.name, item.at) for item in declaration.inputs]
-            named += [("state", state, declaration.at) for state in declaration.states]
+            if isinstance(declaration, Machine):
+                named += [("state", state, declaration.at) for state in declaration.states]
             rows: list[tuple[str, Span]] = [(rule.name, rule.at) for rule in declaration.rules]
             rows += [(gap.name, gap.at) for gap in declaration.gaps]
             first: dict[str, Span] = {}
             for name, at in sorted(rows, key=lambda row: row[1]):
                 if name in first:
-                    what = f"a rule `{declaration.name}.{name}`"
+                    what = f"a rule `{_key(declaration)[1]}.{name}`"
                     yield _again(what, at, first[name], Code.ECS103)
                 first.setdefault(name, at)
         case _:
@@ -281,40 +301,6 @@ def _circles(declarations: Iterable[Declaration]) -> Iterator[Diagnostic]:
             )
 
 
-def names_in(expression: Expression | Range) -> Iterator[str]:
-    """All names that an expression mentions, of functions not."""
-    match expression:
-        case Name(path):
-            yield path
-        case _:
-            for part in parts_of(expression):
-                yield from names_in(part)
-
-
-def parts_of(expression: Expression | Range) -> tuple[Expression | Range, ...]:
-    """What an expression is made of."""
-    match expression:
-        case Literal() | Name() | AnyValue():
-            return ()
-        case Unary():
-            return (expression.operand,)
-        case Binary():
-            return expression.left, expression.right
-        case Range():
-            return expression.low, expression.high
-        case In():
-            return (expression.operand, *expression.items)
-        case Conditional():
-            return expression.condition, expression.then, expression.otherwise
-        case Call():
-            return expression.arguments
-        case OneOf():
-            excluded = () if expression.excluded is None else (expression.excluded,)
-            return (*expression.items, *excluded)
-        case _:
-            assert_never(expression)
-
-
 def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...], Span]]:
     """What cites clauses: its name, the clauses, its place."""
     match declaration:
@@ -323,7 +309,7 @@ def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...],
         case CodeTable():
             for row in declaration.rows:
                 yield f"row `{row.name}`", row.clauses, row.at
-        case Machine():
+        case Machine() | Extend():
             for rule in declaration.rules:
                 yield f"rule `{rule.name}`", rule.clauses, rule.at
             for gap in declaration.gaps:
@@ -581,8 +567,9 @@ class _Checker:
         for field in frame.fields:
             if isinstance(field.type, Bytes) and field.type.length is not None:
                 self._demand(field.type.length, inside, UInt(16))
-            if field.value is not None:
-                self._demand(field.value, inside, field.type)
+            for given in (field.value, field.filled):
+                if given is not None:
+                    self._demand(given, inside, field.type)
             if field.reply is not None:
                 self._demand(field.reply, inside, field.type)
             if field.into is not None:
@@ -618,8 +605,7 @@ class _Checker:
 
     def _rule(self, machine: Machine, rule: Rule) -> None:
         scope = self._guard(machine, rule)
-        for update in rule.updates:
-            self._demand(update.value, scope, self._variable(update.variable, scope, update.at))
+        self._updates(rule.updates, scope)
         for again, times in Counter(update.variable for update in rule.updates).items():
             if times > 1:
                 what = f"rule `{machine.name}.{rule.name}` sets `{again}` twice"
@@ -630,9 +616,28 @@ class _Checker:
             self._demand(store.value, scope, None)
         for send in rule.sends:
             self._send(send, scope)
-        for give in rule.gives:
+        self._gives(rule.gives, scope)
+        if rule.within is not None:
+            self._demand(rule.within, scope, Time())
+        if rule.after is not None:
+            sent = rule.sends[-1].frame if rule.sends else None
+            later = replace(scope, reply=sent)
+            self._updates(rule.after.updates, later)
+            self._gives(rule.after.gives, later)
+
+    def _updates(self, updates: Iterable[Update], scope: Scope) -> None:
+        for update in updates:
+            self._demand(update.value, scope, self._variable(update.variable, scope, update.at))
+
+    def _gives(self, gives: Iterable[Give], scope: Scope) -> None:
+        for give in gives:
+            if give.target == "resend":
+                continue
             if give.target == "deliver":
-                if (found := input_of(self._protocol, scope)) is None or found.kind == "event":
+                if (found := input_of(self._protocol, scope)) is None or found.kind in {
+                    "event",
+                    "local",
+                }:
                     self._note(
                         Code.ECS202,
                         give.at,
@@ -653,15 +658,13 @@ class _Checker:
                 if parameter not in dict(give.arguments):
                     what = f"`{give.target}` gets no `{parameter}`"
                     self._note(Code.ECS203, give.at, what, f"write {parameter} = ...")
-        if rule.within is not None:
-            self._demand(rule.within, scope, Time())
 
     def _send(self, send: Send, scope: Scope) -> None:
         if send.frame not in self._protocol.frames:
             self._missing("frame", send.frame, self._protocol.frames, send.at)
             return
         types = frame_fields(self._protocol, send.frame)
-        self._bindings(send.fields, types, scope, send.frame, send.at)
+        self._bindings(send.fields, types, replace(scope, reply=send.frame), send.frame, send.at)
 
     def _bindings(
         self,
@@ -734,8 +737,9 @@ class _Checker:
                 self._items(items, scope, expected)
                 if excluded is not None:
                     self._demand(excluded, scope, expected)
-            case AnyValue():
-                pass
+            case AnyValue(preferred):
+                if preferred is not None:
+                    self._demand(preferred, scope, expected)
             case _:
                 assert_never(value)
         return found

@@ -190,8 +190,12 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class AnyValue:
-    """`any`: the texts do not specify the value; it is never compared."""
+    """`any`: the texts do not specify the value; it is never compared.
 
+    `any preferably x`: where the model itself has to act, it takes x.
+    """
+
+    preferred: Expression | None = None
     at: Span = field(default=NOWHERE, compare=False)
 
 
@@ -301,11 +305,13 @@ class FrameField:
 
     `value` is a constant (the decoder demands it, the encoder writes it), `reply` is what the
     device sends when a rule does not say otherwise, `into` the variable that keeps what was seen.
+    `filled` is what the encoder writes where the field is not given.
     """
 
     name: str
     type: Type
     value: Expression | None = None
+    filled: Expression | None = None
     reply: Expression | None = None
     into: str | None = None
     at: Span = field(default=NOWHERE, compare=False)
@@ -339,7 +345,8 @@ class Input:
 
     kind "write": the MainDevice wrote one of the registers `origin`, parameters are its fields;
     kind "frame": a frame whose innermost layout is one of `origin` was delivered;
-    kind "event": another machine gives it, with `parameters`.
+    kind "event": another machine gives it, with `parameters`;
+    kind "local": it happens inside the device, unseen by the MainDevice until a rule shows it.
     """
 
     name: str
@@ -410,7 +417,11 @@ class Send:
 
 @dataclass(frozen=True, slots=True)
 class Give:
-    """An event for another machine (`machine.input`), or `deliver`: the frame itself goes on."""
+    """An event for another machine (`machine.input`).
+
+    `deliver`: the frame itself goes on; `resend`: the message that the MainDevice read last is put
+    back before what is not read yet.
+    """
 
     target: str
     arguments: tuple[tuple[str, Expression], ...] = ()
@@ -419,11 +430,24 @@ class Give:
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """`store index : subindex = value`: an object takes a new value."""
+    """`store index : subindex = value`: an object takes a new value.
+
+    `store complete`: all entries from `subindex` on take theirs, laid out as in complete access.
+    """
 
     index: Expression
     subindex: Expression
     value: Expression
+    complete: bool = False
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class After:
+    """What happens once the frame sent is fixed; `reply.FIELD` is what it holds."""
+
+    updates: tuple[Update, ...]
+    gives: tuple[Give, ...]
     at: Span = field(default=NOWHERE, compare=False)
 
 
@@ -442,6 +466,7 @@ class Rule:
     sends: tuple[Send, ...]
     gives: tuple[Give, ...]
     within: Expression | None
+    after: After | None = None
     at: Span = field(default=NOWHERE, compare=False)
 
 
@@ -548,6 +573,45 @@ class Remove:
 
 
 @dataclass(frozen=True, slots=True)
+class Extend:
+    """A text adds variables, inputs, rules and gaps to a machine of the standard."""
+
+    machine: str
+    variables: tuple[Variable, ...]
+    inputs: tuple[Input, ...]
+    rules: tuple[Rule, ...]
+    gaps: tuple[Gap, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplaceField:
+    """A text changes what the device sends in one field of a frame."""
+
+    frame: str
+    name: str
+    clauses: tuple[str, ...]
+    reply: Expression
+    into: str | None
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A mistake that a device can have: changes of the texts, or a quirk outside of them.
+
+    `clauses` are those of which a run must cite one when it finds the fault.
+    """
+
+    name: str
+    wording: str
+    clauses: tuple[str, ...]
+    quirk: str | None
+    changes: tuple[Replace | Remove | Extend | ReplaceField, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Anomaly:
     """A place where a manual contradicts itself or the standard."""
 
@@ -600,12 +664,15 @@ Declaration: TypeAlias = (
     | Anomaly
     | Example
     | Dictionary
+    | Extend
+    | ReplaceField
+    | Fault
 )
 
 
 @dataclass(frozen=True, slots=True)
 class SourceText:
-    """One file as written: `extends` is None for a text of the standard.
+    """One file as written: `extends` is None for a text of the standard or of planted `faults`.
 
     `digest` is the SHA-256 of its characters.
     """
@@ -614,6 +681,7 @@ class SourceText:
     wording: str
     extends: str | None
     declarations: tuple[Declaration, ...]
+    faults: bool = False
     digest: str = field(default="", compare=False)
     at: Span = field(default=NOWHERE, compare=False)
 
@@ -643,5 +711,5 @@ class Protocol:
     dictionary: Dictionary
     anomalies: tuple[Anomaly, ...]
     examples: tuple[Example, ...]
-    replaced: tuple[Replace | Remove, ...]
+    replaced: tuple[Replace | Remove | Extend | ReplaceField, ...]
     digest: str

@@ -18,6 +18,7 @@ from ecatspec.spec.language.ir import (
     Definition,
     Dictionary,
     Example,
+    Extend,
     Frame,
     Literal,
     Machine,
@@ -33,6 +34,7 @@ from ecatspec.spec.language.ir import (
     Register,
     Remove,
     Replace,
+    ReplaceField,
     SetParameter,
 )
 
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import (
         Declaration,
         Expression,
+        Fault,
         Rule,
         SourceText,
         Span,
@@ -49,7 +52,8 @@ if TYPE_CHECKING:
         Update,
     )
 
-_STATEMENTS = (Pin, Close, SetParameter, Replace, Remove, Dictionary)
+_STATEMENTS = (Pin, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
+_CHANGES = (Replace, Remove, Extend, ReplaceField)
 
 
 def merge_standard(texts: Sequence[SourceText]) -> Protocol:
@@ -92,7 +96,7 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
     merge.unclaimed(own.clauses.values())
     merge.unfounded(text.declarations, standard.clauses | own.clauses)
     merge.objects(standard.objects, own.objects)
-    changed = tuple(d for d in text.declarations if isinstance(d, (Replace, Remove)))
+    changed = tuple(d for d in text.declarations if isinstance(d, _CHANGES))
     protocol = Protocol(
         name=text.name,
         wording=text.wording,
@@ -101,7 +105,7 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         tables=merge.tables,
         parameters=merge.parameters,
         registers=standard.registers | own.registers,
-        frames=standard.frames | own.frames,
+        frames=merge.frames,
         machines=merge.machines,
         choices=merge.choices,
         conditions=standard.conditions | own.conditions,
@@ -116,6 +120,14 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         digest="",
     )
     return protocol, merge.findings
+
+
+def with_fault(protocol: Protocol, fault: Fault) -> tuple[Protocol, list[Diagnostic]]:
+    """The protocol as a device with this mistake keeps it, and the findings of 4xx."""
+    merge = _Merge(protocol, merge_standard(()))
+    for change in fault.changes:
+        merge.take(change)
+    return replace(protocol, machines=merge.machines, frames=merge.frames), merge.findings
 
 
 def own_closes(text: SourceText) -> tuple[Close, ...]:
@@ -171,6 +183,10 @@ class _Merge:
                 self._replace(declaration)
             case Remove():
                 self._remove(declaration)
+            case Extend():
+                self._extend(declaration)
+            case ReplaceField():
+                self._replace_field(declaration)
             case _:
                 pass
 
@@ -254,7 +270,7 @@ class _Merge:
             parameter, value=setting.value, clauses=setting.clauses + parameter.clauses
         )
 
-    def _rule(self, statement: Replace | Remove) -> tuple[Machine, Rule] | None:
+    def _machine(self, statement: Replace | Remove | Extend) -> Machine | None:
         machine = self.machines.get(statement.machine)
         if machine is None:
             self._find(
@@ -263,6 +279,49 @@ class _Merge:
                 f"there is no machine `{statement.machine}`",
                 f"name one of {_list(self.machines)}",
             )
+        return machine
+
+    def _extend(self, statement: Extend) -> None:
+        machine = self._machine(statement)
+        if machine is not None:
+            self.machines[machine.name] = replace(
+                machine,
+                variables=machine.variables + statement.variables,
+                inputs=machine.inputs + statement.inputs,
+                rules=machine.rules + statement.rules,
+                gaps=machine.gaps + statement.gaps,
+            )
+
+    def _replace_field(self, statement: ReplaceField) -> None:
+        frame = self.frames.get(statement.frame)
+        old = (
+            None
+            if frame is None
+            else next((f for f in frame.fields if f.name == statement.name), None)
+        )
+        if frame is None or old is None:
+            self._find(
+                Code.ECS401,
+                statement.at,
+                f"there is no field `{statement.frame}.{statement.name}`",
+                "name a field of a frame that `ecatspec show` lists",
+            )
+            return
+        new = replace(old, reply=statement.reply, into=statement.into)
+        if new == old:
+            self._find(
+                Code.ECS402,
+                statement.at,
+                f"field `{frame.name}.{old.name}` is this already",
+                "take the statement away or write what is different",
+            )
+        fields = tuple(new if field is old else field for field in frame.fields)
+        clauses = _joined(statement.clauses, frame.clauses)
+        self.frames[frame.name] = replace(frame, fields=fields, clauses=clauses)
+
+    def _rule(self, statement: Replace | Remove) -> tuple[Machine, Rule] | None:
+        machine = self._machine(statement)
+        if machine is None:
             return None
         rules = {rule.name: rule for rule in machine.rules}
         if statement.rule not in rules:

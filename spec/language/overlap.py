@@ -19,6 +19,7 @@ from ecatspec.spec.language.ir import (
     Bool,
     Call,
     Conditional,
+    Extend,
     Gap,
     In,
     Literal,
@@ -26,6 +27,7 @@ from ecatspec.spec.language.ir import (
     Named,
     OneOf,
     Range,
+    Remove,
     Replace,
     Rule,
     Unary,
@@ -45,6 +47,7 @@ from ecatspec.spec.language.scope import (
     ParameterRef,
     Ref,
     RegisterFieldRef,
+    ReplyField,
     Scope,
     StateRef,
     VariableRef,
@@ -83,7 +86,17 @@ def meaning(protocol: Protocol) -> list[Diagnostic]:
 
 def _changed(protocol: Protocol, machine: Machine) -> dict[str, Span]:
     """The rules of a machine that a device text changed, and where it did."""
-    return {c.rule: c.at for c in protocol.replaced if c.machine == machine.name}
+    changed: dict[str, Span] = {}
+    for change in protocol.replaced:
+        match change:
+            case Replace() | Remove() if change.machine == machine.name:
+                changed[change.rule] = change.at
+            case Extend() if change.machine == machine.name:
+                changed |= {rule.name: rule.at for rule in change.rules}
+                changed |= {gap.name: gap.at for gap in change.gaps}
+            case _:
+                pass
+    return changed
 
 
 def _overlaps(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
@@ -112,7 +125,7 @@ def _overlaps(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
 
 def _dead_rules(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
     """Rules that never fire; in a device text only what it replaces, since it may silence rules."""
-    replaced = {c.rule for c in protocol.replaced if isinstance(c, Replace)}
+    replaced = _changed(protocol, machine)
     rows: tuple[_Row, ...] = (*machine.rules, *machine.gaps)
     for rule in rows:
         if protocol.name != STANDARD and rule.name not in replaced:
@@ -264,7 +277,7 @@ def _name(dimension: _Dimension) -> str:
             return f"... {operator} ..."
         case AlternativeRef(_, name) | ConditionRef(name) | ChoiceRef(name) | DefinitionRef(name):
             return name
-        case ParameterOfInput(name):
+        case ParameterOfInput(name) | ReplyField(name):
             return name
         case ParameterRef(name, part):
             return name if part is None else f"{name}.{part}"
@@ -390,7 +403,9 @@ class _Guard:
             case ParameterRef(name, part):
                 values = self._protocol.parameters[name].value
                 return self._build(values[1 if part == "length" else 0], None)
-            case ParameterOfInput() | VariableRef() | StateRef() | RegisterFieldRef():
+            case (
+                ParameterOfInput() | ReplyField() | VariableRef() | StateRef() | RegisterFieldRef()
+            ):
                 return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
             case ChoiceRef() | ConditionRef():
                 return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))

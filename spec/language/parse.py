@@ -14,6 +14,7 @@ from lark.lexer import PatternStr
 from ecatspec.spec.language.diagnostics import Code, Diagnostic, SpecError
 from ecatspec.spec.language.ir import (
     Access,
+    After,
     Alternative,
     Anomaly,
     AnyValue,
@@ -34,6 +35,8 @@ from ecatspec.spec.language.ir import (
     Dictionary,
     Example,
     Expression,
+    Extend,
+    Fault,
     Frame,
     FrameField,
     Gap,
@@ -55,6 +58,7 @@ from ecatspec.spec.language.ir import (
     RegisterField,
     Remove,
     Replace,
+    ReplaceField,
     Rule,
     Send,
     SetParameter,
@@ -110,6 +114,8 @@ _DECLARATIONS: Final = frozenset(
         "DEFINE",
         "DICTIONARY",
         "EXAMPLE",
+        "EXTEND",
+        "FAULT",
         "FRAME",
         "MACHINE",
         "MANUAL",
@@ -225,6 +231,7 @@ def _in_word(terminal: str) -> str:
 
 # --- from tree to IR -----------------------------------------------------------------------------
 
+_INPUTS: Final = {"origin_input": "", "event_input": "event", "local_input": "local"}
 _BINARY: Final = {"or_": "or", "and_": "and"}
 _TOKENS: Final = frozenset({"compare", "add", "subtract", "multiply"})
 
@@ -316,7 +323,8 @@ class _Builder:
                 declarations.extend(self._object_row(row) for row in rows.trees())
             else:
                 declarations.append(self._declarations[str(child.data)](self, child))
-        return SourceText(name, head.string(), extends, tuple(declarations), digest, at)
+        faults = header.data == "faults_header"
+        return SourceText(name, head.string(), extends, tuple(declarations), faults, digest, at)
 
     # --- facts and data ---
 
@@ -441,9 +449,11 @@ class _Builder:
         children, at = self._open(tree)
         name, kind = children.word(), self._type(children.tree())
         value = self._optional_expression(children.optional_tree())
+        filled = self._optional_expression(children.optional_tree())
         reply = self._optional_expression(children.optional_tree())
         into = children.optional_tree()
-        return FrameField(name, kind, value, reply, None if into is None else _path(into), at)
+        kept = None if into is None else _path(into)
+        return FrameField(name, kind, value, filled, reply, kept, at)
 
     def _bindings(self, children: _Children) -> tuple[tuple[str, Expression], ...]:
         opened = [self._open(tree)[0] for tree in children.trees()]
@@ -541,14 +551,23 @@ class _Builder:
         children, at = self._open(tree)
         name, wording = children.word(), children.string()
         table, *states, initial = children.words("NAME")
+        return Machine(
+            name, wording, table, tuple(states), initial, *self._machine_parts(children), at
+        )
+
+    def _machine_parts(
+        self, children: _Children
+    ) -> tuple[tuple[Variable, ...], tuple[Input, ...], tuple[Rule, ...], tuple[Gap, ...]]:
         variables = tuple(self._variable(item) for item in children.all("variable"))
-        inputs = tuple(self._input(item) for item in children.all("origin_input", "event_input"))
+        inputs = tuple(self._input(item) for item in children.all(*_INPUTS))
         rows = children.trees()
         rules = tuple(self._rule(row) for row in rows if row.data == "rule")
         gaps = tuple(self._gap(row) for row in rows if row.data == "gap")
-        return Machine(
-            name, wording, table, tuple(states), initial, variables, inputs, rules, gaps, at
-        )
+        return variables, inputs, rules, gaps
+
+    def _extend(self, tree: Tree[Token]) -> Extend:
+        children, at = self._open(tree)
+        return Extend(children.word(), *self._machine_parts(children), at)
 
     def _variable(self, tree: Tree[Token]) -> Variable:
         children, at = self._open(tree)
@@ -562,7 +581,7 @@ class _Builder:
             return Input(name, children.word(), tuple(children.words("NAME")), (), at)
         items = [self._open(item)[0] for item in children.trees()]
         parameters = tuple((item.word(), self._type(item.tree())) for item in items)
-        return Input(name, "event", (), parameters, at)
+        return Input(name, _INPUTS[str(tree.data)], (), parameters, at)
 
     def _from(self, tree: Tree[Token]) -> tuple[tuple[str, ...], str]:
         children, _ = self._open(tree)
@@ -575,13 +594,32 @@ class _Builder:
         sources, event = self._from(children.tree())
         guard, target = self._one(children, "when"), self._goto(children)
         updates = self._updates(children)
-        stores = tuple(self._store(item) for item in children.all("store"))
+        stores = tuple(self._store(item) for item in children.all("store", "complete_store"))
         sends = tuple(self._send(item) for item in children.all("send"))
-        gives = tuple(self._give(item) for item in children.all("give", "deliver"))
-        within = self._one(children, "within")
+        gives = self._gives(children)
+        within, after = self._one(children, "within"), children.given("after")
         return Rule(
-            name, clauses, sources, event, guard, target, updates, stores, sends, gives, within, at
+            name,
+            clauses,
+            sources,
+            event,
+            guard,
+            target,
+            updates,
+            stores,
+            sends,
+            gives,
+            within,
+            None if after is None else self._after(after),
+            at,
         )
+
+    def _after(self, tree: Tree[Token]) -> After:
+        children, at = self._open(tree)
+        return After(self._updates(children), self._gives(children), at)
+
+    def _gives(self, children: _Children) -> tuple[Give, ...]:
+        return tuple(self._give(item) for item in children.all("give", "deliver", "resend"))
 
     def _gap(self, tree: Tree[Token]) -> Gap:
         children, at = self._open(tree)
@@ -609,7 +647,7 @@ class _Builder:
     def _store(self, tree: Tree[Token]) -> Store:
         children, at = self._open(tree)
         index, subindex, value = (self._expression(part) for part in children.trees())
-        return Store(index, subindex, value, at)
+        return Store(index, subindex, value, tree.data == "complete_store", at)
 
     def _send(self, tree: Tree[Token]) -> Send:
         children, at = self._open(tree)
@@ -617,13 +655,13 @@ class _Builder:
 
     def _give(self, tree: Tree[Token]) -> Give:
         children, at = self._open(tree)
-        if tree.data == "deliver":
-            return Give("deliver", (), at)
+        if tree.data in {"deliver", "resend"}:
+            return Give(str(tree.data), (), at)
         return Give(_path(children.tree()), self._bindings(children), at)
 
     def _replace(self, tree: Tree[Token]) -> Replace:
         children, at = self._open(tree)
-        machine, rule = _machine_and_rule(_path(children.tree()), at)
+        machine, rule = _two_parts(_path(children.tree()), at)
         clauses = self._ids(children.given("id_list"))
         guard, target = self._one(children, "when"), self._goto(children)
         updates = self._updates(children)
@@ -631,9 +669,24 @@ class _Builder:
         within = self._one(children, "within")
         return Replace(machine, rule, clauses, guard, target, updates, sends, within, at)
 
+    def _replace_field(self, tree: Tree[Token]) -> ReplaceField:
+        children, at = self._open(tree)
+        frame, field = _two_parts(_path(children.tree()), at, "frame.field")
+        clauses, reply = self._ids(children.tree()), self._expression(children.tree())
+        into = children.optional_tree()
+        return ReplaceField(frame, field, clauses, reply, None if into is None else _path(into), at)
+
+    def _fault(self, tree: Tree[Token]) -> Fault:
+        children, at = self._open(tree)
+        name, wording, clauses = children.word(), children.string(), self._ids(children.tree())
+        quirk = children.given("quirk")
+        named = None if quirk is None else self._open(quirk)[0].word()
+        changes = tuple(self._changes[str(c.data)](self, c) for c in children.trees())
+        return Fault(name, wording, clauses, named, changes, at)
+
     def _remove(self, tree: Tree[Token]) -> Remove:
         children, at = self._open(tree)
-        machine, rule = _machine_and_rule(_path(children.tree()), at)
+        machine, rule = _two_parts(_path(children.tree()), at)
         return Remove(machine, rule, self._ids(children.given("id_list")), at)
 
     # --- expressions ---
@@ -681,7 +734,7 @@ class _Builder:
                 result = OneOf(items, excluded, at)
             case _:
                 assert kind == "any_value", kind
-                result = AnyValue(at)
+                result = AnyValue(self._optional_expression(children.optional_tree()), at)
         return result
 
     def _items(self, trees: list[Tree[Token]]) -> tuple[Expression | Range, ...]:
@@ -693,6 +746,14 @@ class _Builder:
             items.append(low if high is None else Range(low, high, at))
         return tuple(items)
 
+    _changes: Final[
+        dict[str, Callable[[_Builder, Tree[Token]], Replace | Remove | Extend | ReplaceField]]
+    ] = {
+        "extend": _extend,
+        "remove": _remove,
+        "replace": _replace,
+        "replace_field": _replace_field,
+    }
     _declarations: Final[dict[str, Callable[[_Builder, Tree[Token]], Declaration]]] = {
         "anomaly": _anomaly,
         "choice": _choice,
@@ -702,14 +763,14 @@ class _Builder:
         "definition": _definition,
         "dictionary": _dictionary,
         "example": _example,
+        "fault": _fault,
         "frame": _frame,
         "machine": _machine,
         "manual": _manual,
         "parameter": _parameter,
         "pin": _pin,
         "register": _register,
-        "remove": _remove,
-        "replace": _replace,
+        **_changes,
         "set_parameter": _set_parameter,
         "table": _table,
     }
@@ -723,8 +784,9 @@ def _number(word: str) -> int:
     return int(word, 16) if word.startswith("0x") else int(word)
 
 
-def _machine_and_rule(path: str, at: Span) -> tuple[str, str]:
-    machine, dot, rule = path.partition(".")
-    if not dot or "." in rule:
-        _refuse(Code.ECS001, at, f"`{path}` names no rule", "write `machine.rule`")
-    return machine, rule
+def _two_parts(path: str, at: Span, shape: str = "machine.rule") -> tuple[str, str]:
+    owner, dot, name = path.partition(".")
+    if not dot or "." in name:
+        what = shape.partition(".")[2]
+        _refuse(Code.ECS001, at, f"`{path}` names no {what}", f"write `{shape}`")
+    return owner, name

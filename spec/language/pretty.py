@@ -25,6 +25,8 @@ from ecatspec.spec.language.ir import (
     Definition,
     Dictionary,
     Example,
+    Extend,
+    Fault,
     Frame,
     Gap,
     Give,
@@ -43,6 +45,7 @@ from ecatspec.spec.language.ir import (
     Register,
     Remove,
     Replace,
+    ReplaceField,
     Rule,
     Send,
     SetParameter,
@@ -87,7 +90,7 @@ _BINDING: Final = (
 
 def pretty(text: SourceText) -> str:
     """The text as it could have been written, tables in columns, paragraphs in fixed order."""
-    head = f'standard {text.name} "{text.wording}"'
+    head = f'{"faults" if text.faults else "standard"} {text.name} "{text.wording}"'
     if text.extends is not None:
         head = f'device {text.name} extends {text.extends} "{text.wording}"'
     blocks = [head]
@@ -136,8 +139,10 @@ def _expression(expression: Expression | Range) -> tuple[str, int]:
             words = f"one of {_set(items)}"
             if excluded is not None:
                 words += f" except {pretty_expression(excluded, _PREFIX)}"
-        case AnyValue():
+        case AnyValue(preferred):
             words = "any"
+            if preferred is not None:
+                words += f" preferably {pretty_expression(preferred, _PREFIX)}"
         case Range(low, high):
             words = f"{pretty_expression(low)}..{pretty_expression(high)}"
         case _:
@@ -325,9 +330,14 @@ def _block(member: Declaration) -> list[str]:
         case Definition(name, wording, value, clauses):
             lines = _broken("    ", "    ", value)
             return [f'define {name} "{wording}" =', *lines[:-1], f"{lines[-1]}  {_ids(clauses)}"]
-        case Replace():
-            lines = [f"replace rule {member.machine}.{member.rule} {_ids(member.clauses)}"]
-            return lines + _paragraphs(member)
+        case Replace() | Extend() | ReplaceField():
+            return _change(member)
+        case Fault(name, wording, clauses, quirk, changes):
+            lines = [f'fault {name} "{wording}" {_ids(clauses)}']
+            lines += [] if quirk is None else [f"  quirk {quirk}"]
+            for change in changes:
+                lines += [f"  {line}".rstrip() for line in _change(change)]
+            return lines
         case Anomaly(name, subject, printed, normative, treatment, clauses):
             return [
                 f"anomaly {name} {subject}",
@@ -343,6 +353,22 @@ def _block(member: Declaration) -> list[str]:
             ]
         case _:
             raise TypeError(member)
+
+
+def _change(member: Replace | Remove | Extend | ReplaceField) -> list[str]:
+    match member:
+        case Replace():
+            lines = [f"replace rule {member.machine}.{member.rule} {_ids(member.clauses)}"]
+            return lines + _paragraphs(member)
+        case Remove():
+            return ["  ".join(_cells(member)).rstrip()]
+        case Extend():
+            return [f"extend {member.machine}", *_machine_parts(member)]
+        case ReplaceField(frame, name, clauses, reply, into):
+            words = f"replace field {frame}.{name} {_ids(clauses)} reply {pretty_expression(reply)}"
+            return [words if into is None else f"{words} into {into}"]
+        case _:
+            assert_never(member)
 
 
 def _table(table: CodeTable) -> list[str]:
@@ -392,6 +418,8 @@ def _frame_field(field: FrameField) -> tuple[str, str]:
     words = [f": {pretty_type(field.type)}"]
     if field.value is not None:
         words.append(f"= {pretty_expression(field.value)}")
+    if field.filled is not None:
+        words.append(f"filled {pretty_expression(field.filled)}")
     if field.reply is not None:
         words.append(f"reply {pretty_expression(field.reply)}")
     if field.into is not None:
@@ -405,15 +433,19 @@ def _bindings(bindings: Iterable[tuple[str, Expression]]) -> str:
 
 def _machine(machine: Machine) -> list[str]:
     states = ", ".join(machine.states)
-    lines = [
+    return [
         f'machine {machine.name} "{machine.wording}"',
         f"  states   {machine.table} {{ {states} }} initial {machine.initial}",
+        *_machine_parts(machine),
     ]
+
+
+def _machine_parts(machine: Machine | Extend) -> list[str]:
     variables = [
         (f"variable {v.name}", f": {pretty_type(v.type)}", f"= {pretty_expression(v.initial)}")
         for v in machine.variables
     ]
-    lines += _columns(variables, "  ")
+    lines = _columns(variables, "  ")
     lines += _columns([_input(item) for item in machine.inputs], "  ")
     rows: tuple[Rule | Gap, ...] = (*machine.rules, *machine.gaps)
     for row in sorted(rows, key=lambda row: row.at):
@@ -422,9 +454,11 @@ def _machine(machine: Machine) -> list[str]:
 
 
 def _input(item: Input) -> tuple[str, str]:
-    if item.kind == "event":
+    if item.kind in {"event", "local"}:
         parameters = ", ".join(f"{name}: {pretty_type(kind)}" for name, kind in item.parameters)
-        return f"input    {item.name}", f"({parameters})"
+        return f"input    {item.name}", (
+            "local " if item.kind == "local" else ""
+        ) + f"({parameters})"
     return f"input    {item.name}", f"from {item.kind} {', '.join(item.origin)}"
 
 
@@ -451,12 +485,17 @@ def _paragraphs(row: Rule | Replace) -> list[str]:
     if isinstance(row, Rule):
         for store in row.stores:
             parts = (pretty_expression(p) for p in (store.index, store.subindex, store.value))
-            lines.append("  store  {} : {} = {}".format(*parts))
+            word = "store complete" if store.complete else "store "
+            lines.append(f"  {word} {{}} : {{}} = {{}}".format(*parts))
     lines += [_send(send) for send in row.sends]
     if isinstance(row, Rule):
         lines += [_give(give) for give in row.gives]
     if row.within is not None:
         lines.append(f"  within {pretty_expression(row.within)}")
+    if isinstance(row, Rule) and row.after is not None:
+        lines.append("  after")
+        lines += [f"  {line}" for line in _updates(row.after.updates)] if row.after.updates else []
+        lines += [f"  {_give(give)}" for give in row.after.gives]
     return lines
 
 
@@ -471,6 +510,6 @@ def _send(send: Send) -> str:
 
 
 def _give(give: Give) -> str:
-    if give.target == "deliver":
-        return "  deliver"
+    if give.target in {"deliver", "resend"}:
+        return f"  {give.target}"
     return f"  give   {give.target}" + (f"({_bindings(give.arguments)})" if give.arguments else "")

@@ -11,8 +11,9 @@ A bare name is looked up in this order; the first that knows it wins:
 5. a choice, a condition, a definition;
 6. a row of a code table.
 
-Dotted names are `input.parameter` of the rule's own input, `machine.variable`, `machine.state`,
-`register.field`, `parameter.start`, `parameter.length`, `table.row`.
+Dotted names are `reply.field` of the frame that the rule sends, `input.parameter` of the rule's own
+input, `machine.variable`, `machine.state`, `register.field`, `parameter.start`, `parameter.length`,
+`table.row`.
 """
 
 from __future__ import annotations
@@ -53,6 +54,13 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True)
 class ParameterOfInput:
     """A parameter of the rule's input; inside a frame, another field of the same frame."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReplyField:
+    """A field of the frame that the rule sends, as it is sent."""
 
     name: str
 
@@ -127,6 +135,7 @@ class ConstantRef:
 
 Ref: TypeAlias = (
     ParameterOfInput
+    | ReplyField
     | VariableRef
     | StateRef
     | RegisterFieldRef
@@ -153,11 +162,15 @@ class UnresolvedName(LookupError):  # noqa: N818
 
 @dataclass(frozen=True, slots=True)
 class Scope:
-    """Where a name stands: a rule has machine and input, a layout has its frame."""
+    """Where a name stands: a rule has machine and input, a layout has its frame.
+
+    `reply` is the frame that the rule sends, where its fields can be spoken of.
+    """
 
     machine: str | None = None
     input: str | None = None
     frame: str | None = None
+    reply: str | None = None
 
 
 # --- built-in functions --------------------------------------------------------------------------
@@ -176,6 +189,7 @@ _INDEX: Final = UInt(16)
 _SUBINDEX: Final = UInt(8)
 _ENTRY: Final = (_INDEX, _SUBINDEX)
 _DATA: Final = Bytes(None)
+_COUNT: Final = UInt(32)
 
 FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "declared": FunctionSignature(_ENTRY, Bool(), "a text declares the entry"),
@@ -186,7 +200,10 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "readable_now": FunctionSignature(_ENTRY, Bool(), "the entry can be read in this AL state"),
     "writable_now": FunctionSignature(_ENTRY, Bool(), "the entry can be written in this AL state"),
     "is_constant": FunctionSignature(_ENTRY, Bool(), "the value of the entry never changes"),
-    "size_of": FunctionSignature(_ENTRY, UInt(32), "bytes that the entry has"),
+    "size_of": FunctionSignature(_ENTRY, UInt(32), "bytes that the entry has at most"),
+    "size_varies": FunctionSignature(_ENTRY, Bool(), "the entry may hold fewer bytes than that"),
+    "present_size": FunctionSignature(_ENTRY, UInt(32), "bytes that an upload may announce now"),
+    "size_allowed": FunctionSignature((*_ENTRY, _COUNT), Bool(), "so many bytes can be written"),
     "value_of": FunctionSignature(_ENTRY, _DATA, "the present value as bytes on the wire"),
     "range_known": FunctionSignature(_ENTRY, Bool(), "a text states the range of the entry"),
     "in_range": FunctionSignature((*_ENTRY, _DATA), Bool(), "the range of the entry allows it"),
@@ -194,8 +211,29 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "too_low": FunctionSignature((*_ENTRY, _DATA), Bool(), "below the range of the entry"),
     "is_plain_variable": FunctionSignature((_INDEX,), Bool(), "the object has subindex 0 only"),
     "count_of": FunctionSignature((_INDEX,), UInt(8), "the highest subindex of the object"),
-    "fitted": FunctionSignature((*_ENTRY, _DATA), _DATA, "the bytes cut to the entry's size"),
+    "complete_known": FunctionSignature((_INDEX,), Bool(), "the layout of the object is certain"),
+    "complete_size": FunctionSignature(_ENTRY, UInt(32), "bytes from this subindex on, padded"),
+    "complete_value": FunctionSignature(_ENTRY, _DATA, "the object from this subindex on"),
+    "complete_in_range": FunctionSignature((*_ENTRY, _DATA), Bool(), "all ranges allow the bytes"),
+    "complete_readable": FunctionSignature(_ENTRY, Bool(), "every entry from there can be read"),
+    "complete_writable": FunctionSignature(_ENTRY, Bool(), "every entry from there can be written"),
+    "object_list": FunctionSignature((UInt(16),), _DATA, "the list of this type as it travels"),
+    "object_code_of": FunctionSignature((_INDEX,), UInt(8), "variable, array or record"),
+    "highest_subindex": FunctionSignature((_INDEX,), UInt(8), "the highest subindex to be told"),
+    "data_type_of": FunctionSignature(_ENTRY, UInt(16), "the number of the entry's type"),
+    "bit_length_of": FunctionSignature(_ENTRY, UInt(16), "bits that the entry has"),
+    "readable_in": FunctionSignature((*_ENTRY, UInt(4)), Bool(), "can be read in this AL state"),
+    "writable_in": FunctionSignature((*_ENTRY, UInt(4)), Bool(), "can be written in this AL state"),
+    "in_work": FunctionSignature((), Bool(), "an earlier request was unanswered when this came"),
     "length": FunctionSignature((_DATA,), UInt(32), "how many bytes there are"),
+    "join": FunctionSignature((_DATA, _DATA), _DATA, "the second after the first"),
+    "cut": FunctionSignature((_DATA, _COUNT), _DATA, "the first so many bytes"),
+    "zeros": FunctionSignature((_COUNT,), _DATA, "so many bytes of zero"),
+    "word": FunctionSignature((UInt(16),), _DATA, "the number in two bytes"),
+    "piece": FunctionSignature(
+        (_DATA, _COUNT, _COUNT, _COUNT), _DATA, "from an offset on, at least and at most so many"
+    ),
+    "lesser": FunctionSignature((_COUNT, _COUNT), _COUNT, "the smaller number"),
     "dictionary_closed": FunctionSignature((), Bool(), "only declared objects exist"),
     "identification_answer": FunctionSignature(
         (Bool(),), Bool(), "whether identification is loaded after this request for it"
@@ -206,6 +244,7 @@ IMPLIES: Final = (
     ("readable_now", "readable"),
     ("writable_now", "writable"),
     ("declared", "entry_exists"),
+    ("declared", "object_exists"),
     ("entry_exists", "object_exists"),
 )
 """For the same entry: where the first holds, the second holds (of its first arguments)."""
@@ -216,6 +255,7 @@ EXCLUSIVE: Final = (frozenset({"in_range", "too_high", "too_low"}),)
 # --- names ---------------------------------------------------------------------------------------
 
 STATE: Final = "state"
+REPLY: Final = "reply"
 AREA_PARTS: Final = {"start": UInt(16), "length": UInt(16)}
 
 
@@ -272,6 +312,8 @@ def _row(protocol: Protocol, name: str, expected: Kind | None) -> ConstantRef | 
 
 def _dotted(protocol: Protocol, path: str, scope: Scope) -> Ref | None:
     owner, _, name = path.partition(".")
+    if owner == REPLY and scope.reply is not None and name in frame_fields(protocol, scope.reply):
+        return ReplyField(name)
     if owner == scope.input and name in _parameters(protocol, scope):
         return ParameterOfInput(name)
     if machine := protocol.machines.get(owner):
@@ -297,6 +339,8 @@ def known_names(protocol: Protocol, scope: Scope, expected: Kind | None = None) 
     if isinstance(expected, ChoiceRef) and expected.name in protocol.choices:
         yield from (way.name for way in protocol.choices[expected.name].alternatives)
     yield from _parameters(protocol, scope)
+    if scope.reply is not None:
+        yield from (f"{REPLY}.{name}" for name in frame_fields(protocol, scope.reply))
     own = protocol.machines.get(scope.machine or "")
     if own is not None:
         yield STATE
@@ -354,7 +398,7 @@ def _parameters(protocol: Protocol, scope: Scope) -> dict[str, Type]:
     found = input_of(protocol, scope)
     if found is None:
         return {}
-    if found.kind == "event":
+    if found.kind in {"event", "local"}:
         return dict(found.parameters)
     origins = [_origin(protocol, found.kind, origin) for origin in found.origin]
     common = origins[0] if origins else {}
@@ -368,6 +412,45 @@ def _origin(protocol: Protocol, kind: str, origin: str) -> dict[str, Type]:
         return frame_fields(protocol, origin)
     register = protocol.registers.get(origin)
     return {} if register is None else {field.name: field.type for field in register.fields}
+
+
+# --- what an expression is made of ---------------------------------------------------------------
+
+
+def names_in(expression: Expression | Range) -> Iterator[str]:
+    """All names that an expression mentions, of functions not."""
+    match expression:
+        case Name(path):
+            yield path
+        case _:
+            for part in parts_of(expression):
+                yield from names_in(part)
+
+
+def parts_of(expression: Expression | Range) -> tuple[Expression | Range, ...]:
+    """What an expression is made of."""
+    match expression:
+        case Literal() | Name():
+            return ()
+        case AnyValue(preferred):
+            return () if preferred is None else (preferred,)
+        case Unary():
+            return (expression.operand,)
+        case Binary():
+            return expression.left, expression.right
+        case Range():
+            return expression.low, expression.high
+        case In():
+            return (expression.operand, *expression.items)
+        case Conditional():
+            return expression.condition, expression.then, expression.otherwise
+        case Call():
+            return expression.arguments
+        case OneOf():
+            excluded = () if expression.excluded is None else (expression.excluded,)
+            return (*expression.items, *excluded)
+        case _:
+            assert_never(expression)
 
 
 # --- kinds ---------------------------------------------------------------------------------------
@@ -384,6 +467,8 @@ def kind_of_ref(protocol: Protocol, ref: Ref, scope: Scope) -> Kind | None:
     match ref:
         case ParameterOfInput(name):
             kind = _parameters(protocol, scope)[name]
+        case ReplyField(name):
+            kind = frame_fields(protocol, scope.reply or "")[name]
         case VariableRef(machine, name):
             variables = protocol.machines[machine].variables
             kind = next(variable.type for variable in variables if variable.name == name)

@@ -1,0 +1,65 @@
+"""The only place for the functions of byte strings and numbers that texts may call."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.model.values import UNKNOWN, Pattern, Value
+
+if TYPE_CHECKING:
+    from ecatspec.model.evaluate import Function
+
+LONGEST = 1 << 32
+"""More bytes than any object has."""
+
+
+def _join(first: Value, second: Value) -> Value:
+    if isinstance(first, bytes) and isinstance(second, bytes):
+        return first + second
+    if not isinstance(first, bytes) or not isinstance(second, Pattern) or second.lengths is None:
+        return UNKNOWN
+    least, most = (len(first) + length for length in second.lengths)
+    if second.content is None:
+        # what follows is not known: any bytes, as many as there may be at all
+        return Pattern(lengths=(least, most), content=first, mask=b"\xff" * len(first))
+    mask = None if second.mask is None else b"\xff" * len(first) + second.mask
+    return Pattern(lengths=(least, most), content=first + second.content, mask=mask)
+
+
+def _piece(data: Value, offset: Value, least: Value, most: Value) -> Value:
+    if not isinstance(offset, int) or not isinstance(least, int):
+        return Pattern(lengths=(0, LONGEST))
+    high = most if isinstance(most, int) else LONGEST
+    if isinstance(data, bytes):
+        data = Pattern(lengths=(len(data), len(data)), content=data)
+    if not isinstance(data, Pattern):
+        return UNKNOWN
+    return data.piece(offset, least, max(0, high))
+
+
+def _cut(data: Value, count: Value) -> Value:
+    if isinstance(data, bytes) and isinstance(count, int):
+        return data[:count]
+    return UNKNOWN
+
+
+def _lesser(one: Value, other: Value) -> Value:
+    if isinstance(one, int) and isinstance(other, int):
+        return min(one, other)
+    return UNKNOWN
+
+
+def _zeros(count: Value) -> Value:
+    return bytes(max(0, count)) if isinstance(count, int) else UNKNOWN
+
+
+PLAIN: dict[str, Function] = {
+    "length": lambda _, a: len(a[0]) if isinstance(a[0], bytes) else UNKNOWN,
+    "join": lambda _, a: _join(a[0], a[1]),
+    "cut": lambda _, a: _cut(a[0], a[1]),
+    "zeros": lambda _, a: _zeros(a[0]),
+    "word": lambda _, a: a[0].to_bytes(2, "little") if isinstance(a[0], int) else UNKNOWN,
+    "piece": lambda _, a: _piece(*a),
+    "lesser": lambda _, a: _lesser(a[0], a[1]),
+}
+"""The functions of byte strings and numbers, which need no object dictionary."""

@@ -111,6 +111,7 @@ def cli(context: click.Context) -> int:
 @click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
 @click.option("--depth", type=click.Choice(DEPTHS), default="default", show_default=True)
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
+@click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
 @click.option(
     "--hang-timeout",
     type=float,
@@ -118,7 +119,16 @@ def cli(context: click.Context) -> int:
     metavar="SECONDS",
     help="Without an answer for so long the device counts as hung.",
 )
-def run(*, device: str, dut: str, as_json: bool, depth: str, seed: int, hang_timeout: float) -> int:
+def run(
+    *,
+    device: str,
+    dut: str,
+    as_json: bool,
+    depth: str,
+    seed: int,
+    mailbox: str,
+    hang_timeout: float,
+) -> int:
     """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
 
     The device under test is the virtual SubDevice of the text (--dut model), the SDO server of
@@ -127,13 +137,19 @@ def run(*, device: str, dut: str, as_json: bool, depth: str, seed: int, hang_tim
     from ecatspec.conformance.adapter import AdapterError
     from ecatspec.conformance.devices import load
 
-    protocol = load(device)
+    protocol = load(device, mailbox)
     from ecatspec.conformance.runner import run_device
 
     try:
         with _progress() as progress:
             result = run_device(
-                device, dut, depth=depth, seed=seed, hang_timeout=hang_timeout, progress=progress
+                device,
+                dut,
+                depth=depth,
+                seed=seed,
+                mailbox=mailbox,
+                hang_timeout=hang_timeout,
+                progress=progress,
             )
     except AdapterError as error:
         said = str(error)

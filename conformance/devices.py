@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, assert_never
 
@@ -43,6 +43,9 @@ if TYPE_CHECKING:
 
 SUFFIX = ".ecs"
 _MICROSECONDS = 1_000_000
+_MAILBOXES = 2
+_ALIGNMENT = 16
+"""A mailbox that has to make room begins at a multiple of so many bytes."""
 
 
 class UserError(Exception):
@@ -52,14 +55,43 @@ class UserError(Exception):
         super().__init__(" ".join(message.split()))
 
 
-def load(name_or_path: str) -> Protocol:
+def load(name_or_path: str, mailbox: str = "") -> Protocol:
     """Load a shipped device text by name or a text file by its path, which ends in `.ecs`.
 
+    `mailbox` gives the areas another length: `SIZE`, or `OUT:IN` in bytes.
+
     Raises:
-        UserError: There is no such device or file.
+        UserError: There is no such device or file, or the mailbox cannot be so long.
         SpecError: The text is wrong.
 
     """
+    protocol = _load(name_or_path)
+    return _resized(protocol, mailbox) if mailbox else protocol
+
+
+def _resized(protocol: Protocol, mailbox: str) -> Protocol:
+    limits = [protocol.parameters[f"{word}_mailbox"].value[0] for word in ("minimal", "maximal")]
+    low, high = (limit.value for limit in limits if isinstance(limit, Literal))
+    words = mailbox.split(":")
+    sizes = [int(word) for word in words if word.isascii() and word.isdigit()]
+    if not 1 <= len(words) == len(sizes) <= _MAILBOXES or not all(low <= n <= high for n in sizes):
+        message = f"{mailbox!r} is no mailbox size; give SIZE or OUT:IN in bytes, {low} to {high}"
+        raise UserError(message)
+    out, back = (protocol.parameters[name] for name in ("mailbox_out", "mailbox_in"))
+    starts = [part.value[0] for part in (out, back)]
+    first, second = (start.value for start in starts if isinstance(start, Literal))
+    if first < second:
+        second = max(second, -(-(first + sizes[0]) // _ALIGNMENT) * _ALIGNMENT)
+    else:
+        first = max(first, -(-(second + sizes[-1]) // _ALIGNMENT) * _ALIGNMENT)
+    areas = {
+        part.name: replace(part, value=(Literal(start, 4), Literal(size)))
+        for part, start, size in ((out, first, sizes[0]), (back, second, sizes[-1]))
+    }
+    return replace(protocol, parameters=protocol.parameters | areas)
+
+
+def _load(name_or_path: str) -> Protocol:
     if not name_or_path.endswith(SUFFIX):
         return _shipped(name_or_path)
     try:

@@ -201,14 +201,15 @@ def run_device(
     *,
     depth: str = "default",
     seed: int = 0,
+    mailbox: str = "",
     hang_timeout: float = 10.0,
     progress: Progress | None = None,
 ) -> Result:
     """Run everything against one device under test; Ctrl-C ends with what was found so far."""
     began = time.monotonic()
-    protocol = load(device)
+    protocol = load(device, mailbox)
     model = Model(protocol)
-    adapter = open_adapter(dut, device, hang_timeout=hang_timeout)
+    adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
     interrupted = False
     try:
         description = adapter.describe()

@@ -25,7 +25,7 @@ from ecatspec.conformance.adapter import AdapterError, DeviceFault
 from ecatspec.conformance.process import ProcessAdapter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from ecatspec.conformance.adapter import Adapter
 
@@ -44,10 +44,17 @@ class Entry:
     summary: str
     example: str
     open: Opener
+    resizable: bool = False
+    """The mailbox is ours and takes the length that a run asks for."""
 
 
-def open_adapter(spec: str, device: str, *, hang_timeout: float = HANG_TIMEOUT) -> Adapter:
-    """Open the adapter that `spec` names for the device text `device`, and hear it answer."""
+def open_adapter(
+    spec: str, device: str, *, mailbox: str = "", hang_timeout: float = HANG_TIMEOUT
+) -> Adapter:
+    """Open the adapter that `spec` names for the device text `device`, and hear it answer.
+
+    An adapter over our own virtual mailbox has areas of the length `mailbox`, if that is given.
+    """
     name, _, rest = spec.partition(":")
     entry = ADAPTERS.get(name)
     if entry is None:
@@ -55,6 +62,8 @@ def open_adapter(spec: str, device: str, *, hang_timeout: float = HANG_TIMEOUT) 
         hint = f"did you mean {near[0]!r}? " if near else ""
         message = f"unknown adapter {name!r}; {hint}there are {', '.join(sorted(ADAPTERS))}"
         raise AdapterError(message)
+    if mailbox and entry.resizable:
+        rest = f"mailbox={mailbox},{rest}"
     adapter = entry.open(rest, device, hang_timeout)
     try:
         adapter.describe()
@@ -80,11 +89,12 @@ def parse_options(text: str) -> dict[str, str]:
     return options
 
 
-def refuse_options(name: str, options: Mapping[str, str]) -> None:
-    """Refuse options where an adapter has none."""
-    if options:
-        message = f"the adapter {name!r} has no option {next(iter(options))!r}; it takes none"
-        raise AdapterError(message)
+def refuse_options(name: str, options: Mapping[str, str], *, known: Sequence[str]) -> None:
+    """Refuse options that an adapter does not have."""
+    for option in options:
+        if option not in known:
+            message = f"the adapter {name!r} has no option {option!r}; it takes {', '.join(known)}"
+            raise AdapterError(message)
 
 
 def _make(module: str, device: str, options: Mapping[str, str]) -> Adapter:
@@ -122,13 +132,15 @@ ADAPTERS: Final[Mapping[str, Entry]] = MappingProxyType(
     {
         "model": Entry(
             summary="the virtual SubDevice of the texts",
-            example="model",
+            example="model:fault=toggle_ignored",
             open=partial(_open_hosted, "model"),
+            resizable=True,
         ),
         "canopen": Entry(
             summary="the SDO server of the package canopen behind the virtual mailbox",
             example="canopen",
             open=partial(_open_hosted, "canopen", package="canopen"),
+            resizable=True,
         ),
         "exec": Entry(
             summary="a program that speaks the line protocol",

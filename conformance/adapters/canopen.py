@@ -68,8 +68,8 @@ _NOTES: Final = (
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:
     """Return the package's SDO server with the objects of the text `device`."""
-    refuse_options("canopen", options)
-    protocol = load(device)
+    refuse_options("canopen", options, known=("mailbox",))
+    protocol = load(device, options.get("mailbox", ""))
     node = _Node(protocol)
     description = Description(
         name=f"canopen {importlib.metadata.version('canopen')} SdoServer, {protocol.name}",

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.adapter import Description, check_duration, check_span
+from ecatspec.conformance.adapter import (
+    AdapterError,
+    Description,
+    check_duration,
+    check_span,
+)
 from ecatspec.conformance.adapters import refuse_options
-from ecatspec.conformance.devices import load
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.conformance.devices import load, nearest
+from ecatspec.model.subdevice import Quirk, VirtualSubDevice
+from ecatspec.spec.language.load import load_faults, plant
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -16,9 +22,18 @@ if TYPE_CHECKING:
 
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:
-    """Return the virtual SubDevice of the text `device`."""
-    refuse_options("model", options)
-    protocol = load(device)
+    """Return the virtual SubDevice of the text `device`, with a planted fault if one is named."""
+    refuse_options("model", options, known=("mailbox", "fault"))
+    protocol = load(device, options.get("mailbox", ""))
+    quirks: frozenset[Quirk] = frozenset()
+    name = options.get("fault")
+    if name is not None:
+        faults = load_faults()
+        if name not in faults:
+            raise AdapterError(str(nearest("fault", name, tuple(faults))))
+        fault = faults[name]
+        protocol = plant(protocol, fault)
+        quirks = frozenset({Quirk(fault.quirk)} if fault.quirk else ())
     # Every machine of the texts, and every frame that one of them may carry, is its own.
     description = Description(
         name=f"virtual SubDevice {protocol.name}",
@@ -26,7 +41,7 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
         virtual_time=True,
         closed_dictionary=True,
     )
-    return VirtualAdapter(VirtualSubDevice(protocol), description)
+    return VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), description)
 
 
 class VirtualAdapter:

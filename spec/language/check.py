@@ -878,11 +878,16 @@ class _Checker:
 
     def _problem(self, entry: ObjectEntry) -> str | None:
         numbers = [n for n in (entry.low, entry.high, entry.default) if isinstance(n, int)]
-        if isinstance(entry.type, Text):
+        if isinstance(entry.type, Text | Bytes):
+            most = entry.type.maximum if isinstance(entry.type, Text) else entry.type.length
+            if isinstance(most, Literal):
+                most = most.value
+            if not isinstance(most, int):
+                return "the length of bytes is no number"
             if numbers:
                 return "a text has no number"
-            if len(str(entry.default or "").encode()) > entry.type.maximum:
-                return f"the default is longer than {entry.type.maximum} bytes"
+            if len(str(entry.default or "").encode()) > most:
+                return f"the default is longer than {most} bytes"
             return None
         bounds = bounds_of(self._protocol, entry.type)
         if isinstance(entry.default, str) or bounds is None:

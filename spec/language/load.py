@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from ecatspec.spec.language.check import check_protocol, check_texts
 from ecatspec.spec.language.diagnostics import SpecError
-from ecatspec.spec.language.merge import merge_device, merge_standard
+from ecatspec.spec.language.ir import Fault
+from ecatspec.spec.language.merge import merge_device, merge_standard, with_fault
 from ecatspec.spec.language.overlap import STANDARD
 from ecatspec.spec.language.parse import decode, parse_text
 
@@ -66,6 +67,21 @@ def load_file(path: str | Path) -> Protocol:
     if text.name not in names:
         return compile_texts((*shipped, text), STANDARD)
     return compile_texts([text if o.name == text.name else o for o in shipped], STANDARD)
+
+
+@cache
+def load_faults() -> dict[str, Fault]:
+    """All planted faults that are shipped, by name, in the order of their texts."""
+    texts = [_shipped("faults", file.name) for file in _files("faults")]
+    faults = [d for text in texts for d in text.declarations if isinstance(d, Fault)]
+    return {fault.name: fault for fault in faults}
+
+
+def plant(protocol: Protocol, fault: Fault) -> Protocol:
+    """What a device with this mistake takes for its specification."""
+    faulty, findings = with_fault(protocol, fault)
+    _raise(findings)
+    return faulty
 
 
 def compile_texts(texts: Sequence[SourceText], name: str | None = None) -> Protocol:

@@ -93,8 +93,9 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         merge.take(declaration)
     for close in own_closes(text):
         merge.close(close)
-    merge.unclaimed(own.clauses.values())
-    merge.unfounded(text.declarations, standard.clauses | own.clauses)
+    if own.manuals:
+        merge.unclaimed(own.clauses.values())
+        merge.unfounded(text.declarations, standard.clauses | own.clauses)
     merge.objects(standard.objects, own.objects)
     changed = tuple(d for d in text.declarations if isinstance(d, _CHANGES))
     protocol = Protocol(
@@ -191,7 +192,7 @@ class _Merge:
                 pass
 
     def unclaimed(self, clauses: Iterable[Clause]) -> None:
-        """A device is judged by what its manual says: each clause must name a claim."""
+        """A device with a manual is judged by what that says: each clause must name a claim."""
         for clause in clauses:
             if not clause.claims:
                 self._find(

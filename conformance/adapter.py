@@ -7,12 +7,14 @@ fault it was: `AdapterError` is the user's set-up or a call outside the contract
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+LIMITS: Final = ("initiate_data", "segment_data")
+"""What a description may say of the way to a device, in bytes of one message."""
 ADDRESS_SPACE: Final = 1 << 16
 """The contract's own bound: an address is an unsigned number of sixteen bits."""
 
@@ -60,6 +62,10 @@ class Description:
     closed_dictionary: bool
     """True: exactly the declared objects exist."""
     notes: tuple[str, ...] = ()
+    limits: Mapping[str, int] = field(default_factory=dict, hash=False)
+    """`initiate_data`, `segment_data`: the most bytes of a download that one message carries."""
+    without: tuple[str, ...] = ()
+    """Features that the way to the device cannot carry: cases of them are skipped."""
 
     def to_json(self) -> dict[str, object]:
         """Return the description as data for JSON, in a fixed order."""
@@ -69,6 +75,8 @@ class Description:
             "virtual_time": self.virtual_time,
             "closed_dictionary": self.closed_dictionary,
             "notes": list(self.notes),
+            "limits": dict(self.limits),
+            "without": list(self.without),
         }
 
     @classmethod
@@ -88,6 +96,8 @@ class Description:
             virtual_time=_truth(data, "virtual_time"),
             closed_dictionary=_truth(data, "closed_dictionary"),
             notes=_texts(data, "notes"),
+            limits=_numbers(data, "limits"),
+            without=_texts(data, "without"),
         )
 
 
@@ -136,6 +146,17 @@ def _texts(data: Mapping[str, object], field: str) -> tuple[str, ...]:
         message = f"field {field!r} of a description is not a list of texts"
         raise ValueError(message)
     return tuple(value)
+
+
+def _numbers(data: Mapping[str, object], field: str) -> dict[str, int]:
+    value = data.get(field, {})
+    numbers: dict[str, int] = {}
+    for name, number in (value if isinstance(value, dict) else {"": value}).items():
+        if name not in LIMITS or not isinstance(number, int) or number < 0:
+            message = f"field {field!r} of a description may hold {', '.join(LIMITS)}, in bytes"
+            raise ValueError(message)
+        numbers[name] = number
+    return numbers
 
 
 def _truth(data: Mapping[str, object], field: str) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,10 +15,9 @@ from ecatspec.conformance.devices import load
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.verdict import BLAMING, Outcome, Result, TraceLine, Verdict
 from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import Case, Probe, Stimulus
-from ecatspec.generators.sdo_cover import sdo_cover
+from ecatspec.generators.case import Case, Limits, Probe, Stimulus
 from ecatspec.generators.strategies import requests
-from ecatspec.generators.transition_cover import transition_cover
+from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.oracle import Mismatch, Oracle
@@ -64,6 +63,9 @@ class Runner:
         if case.layer not in self.description.protocols:
             reason = f"{case.layer} is not the device's own: {self.description.name} supplies "
             reason += ", ".join(sorted(self.description.protocols))
+            return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
+        if case.feature in self.description.without:
+            reason = f"{self.description.name} cannot carry it: {case.feature}, see its notes"
             return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
         self.session.trace = []
         try:
@@ -126,7 +128,9 @@ class Runner:
             print_blob=False,
             report_multiple_bugs=False,
         )
-        wrapped = seed(chosen_seed)(search(given(requests(self.model, _STEPS))(attempt)))
+        wrapped = seed(chosen_seed)(
+            search(given(requests(self.model, limits_of(self.description), _STEPS))(attempt))
+        )
         try:
             wrapped()
         except _Found:
@@ -214,7 +218,7 @@ def run_device(
     try:
         description = adapter.describe()
         runner = Runner(model, adapter, description)
-        cases = list(all_cases(model))
+        cases = list(all_cases(model, limits_of(description)))
         try:
             runner.run(cases, progress, len(cases))
             runner.explore(EXAMPLES[depth], seed, progress)
@@ -242,7 +246,10 @@ def run_device(
     )
 
 
-def all_cases(model: Model) -> Iterator[Case]:
-    """Give all fixed cases of a protocol in the order in which they run."""
-    yield from transition_cover(model)
-    yield from sdo_cover(model)
+def limits_of(description: Description) -> Limits:
+    """Give what the way to a device cannot carry, as its adapter declares it."""
+    return Limits(
+        description.limits.get("initiate_data"),
+        description.limits.get("segment_data"),
+        frozenset(description.without),
+    )

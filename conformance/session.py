@@ -15,8 +15,9 @@ from ecatspec.generators.case import (
     WriteRegister,
     WriteRegisters,
 )
-from ecatspec.generators.sdo_cover import probe_entry, upload
+from ecatspec.generators.mailbox_cover import probe_entry
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
+from ecatspec.generators.transfers import upload, upload_segment
 from ecatspec.model.esc import SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
 from ecatspec.model.words import message_words, register_words
@@ -109,14 +110,14 @@ class Session:
         # refused for longer than the request time, the oracle calls it a deviation
         limit = self.time + self.model.parameter("request_timeout")
         wait = _FIRST_WAIT
-        while not self._write(start, data.ljust(length, b"\0")) and self.time <= limit:
+        while not self._write(start, data[:length].ljust(length, b"\0")) and self.time <= limit:
             self._wait(wait)
             wait *= _SLOWER
 
     def _send_segments(self) -> None:
         toggle = False
         while self.oracle.may_be("sdo", "UPLOADING") and not self.oracle.may_be("sdo", "IDLE"):
-            self._send(SendFrame("sdo_upload_segment", {"toggle": int(toggle)}))
+            self._send(upload_segment(toggle=toggle))
             self._settle()
             toggle = not toggle
 

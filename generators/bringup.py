@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.case import Stimulus, WriteRegister, WriteRegisters
+from ecatspec.generators.case import Case, Probe, Stimulus, WriteRegister, WriteRegisters
 from ecatspec.model.esc import SYNC_MANAGERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from ecatspec.model.compiled import Model
 
@@ -57,3 +57,20 @@ def way_to(model: Model, state: str) -> tuple[Stimulus, ...]:
     wanted = WAY_UP[1 : WAY_UP.index(state) + 1]
     requests = tuple(request(row(model, "al_state", name)) for name in wanted)
     return (*mailbox_settings(model), *requests)
+
+
+def case_in(
+    model: Model,
+    name: str,
+    title: str,
+    stimuli: Iterable[Stimulus],
+    *,
+    state: str = "PREOP",
+    flag: str = "",
+    feature: str = "",
+) -> Case:
+    """Give a case in an AL state, with a proof at its end that the device lives."""
+    way = way_to(model, state)
+    layer = name.partition("/")[0]
+    done = (*way, *stimuli, Probe())
+    return Case(name, title, layer, done, state, len(way), flag, feature)

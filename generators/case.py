@@ -59,11 +59,28 @@ Stimulus: TypeAlias = WriteRegister | WriteRegisters | SendFrame | SendSegments 
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """One test from power-on. `layer` is what it exercises: al, mailbox or sdo.
+class Limits:
+    """What the way to a device cannot carry, so that no test may ask for it.
 
-    `needs` is the AL state that the stimuli before `goal` must have reached for the case to mean
-    something.
+    `initiate_data` and `segment_data` are the most bytes of a download that one message carries
+    (None: what the mailbox holds), `without` names features that do not get through.
+    """
+
+    initiate_data: int | None = None
+    segment_data: int | None = None
+    without: frozenset[str] = frozenset()
+
+
+NO_LIMITS = Limits()
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One test from power-on. `layer` is the machine that it exercises.
+
+    `needs` is the AL state that the stimuli before `prelude` must have reached for the case to
+    mean something. `flag` names what is broken in it, a key of `families.NOTES`; `feature` what
+    the way to the device must be able to carry.
     """
 
     name: str
@@ -72,3 +89,5 @@ class Case:
     stimuli: tuple[Stimulus, ...]
     needs: str | None = None
     prelude: int = 0
+    flag: str = ""
+    feature: str = ""

@@ -10,7 +10,16 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import mailbox_settings, request, row
-from ecatspec.generators.case import Case, Probe, SendFrame, Stimulus, WriteRegister, WriteRegisters
+from ecatspec.generators.case import (
+    Case,
+    Probe,
+    Repeat,
+    SendFrame,
+    SendSegments,
+    Stimulus,
+    WriteRegister,
+    WriteRegisters,
+)
 from ecatspec.generators.stimulus import register_bytes, registers_bytes
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.subdevice import VirtualSubDevice
@@ -18,6 +27,7 @@ from ecatspec.model.subdevice import VirtualSubDevice
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ecatspec.generators.case import Limits
     from ecatspec.model.compiled import Model
 
 Symbol = tuple[str, tuple[Stimulus, ...]]
@@ -65,7 +75,7 @@ def wrong_settings(model: Model) -> tuple[Symbol, ...]:
     return tuple(found)
 
 
-def transition_cover(model: Model) -> Iterator[Case]:
+def transition_cover(model: Model, _: Limits) -> Iterator[Case]:
     """Yield a case for every reachable state and every input, shortest way first."""
     alphabet = symbols(model)
     device = VirtualSubDevice(model.protocol)
@@ -107,7 +117,7 @@ def _reached(device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]) ->
                     device.write(*register_bytes(model, stimulus))
                 case WriteRegisters():
                     device.write(*registers_bytes(model, stimulus))
-                case SendFrame() | Probe():
+                case SendFrame() | SendSegments() | Repeat() | Probe():
                     raise TypeError("the AL inputs are register writes")
     slots = device.state.slots
     enabled = tuple(device.esc.register(f"{name}_activation") for name in SYNC_MANAGERS)

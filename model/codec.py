@@ -105,6 +105,15 @@ class Codec:
         """Give the bytes of a layout of fixed widths."""
         return sum(part.width or 0 for part in self._parts[frame]) // 8
 
+    def capacity(self, frame: str, field: str) -> int:
+        """Give the most bytes of a counted field: those it has when nothing else takes them."""
+        part = next(part for part in self._parts[frame] if part.name == field)
+        nothing = dict.fromkeys(self.field_names(frame), 0)
+        length = None if part.length is None else part.length(Environment((), {}, nothing))
+        if not isinstance(length, int):
+            raise TypeError(f"{frame}.{field} has no fixed capacity")
+        return length
+
     # --- bytes to message -------------------------------------------------------------------------
 
     def decode(self, data: bytes, root: str) -> Message | None:
@@ -191,7 +200,7 @@ class Codec:
             value = values.get(part.name, 0)
             if part.width is None:
                 wanted = 0 if part.length is None else part.length(Environment((), {}, values))
-                missing = bytes(wanted if isinstance(wanted, int) else 0)
+                missing = bytes(max(0, wanted) if isinstance(wanted, int) else 0)
                 content = value if isinstance(value, bytes) else missing
                 bits |= int.from_bytes(content, "little") << offset
                 offset += len(content) * 8

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, assert_never
 
 from ecatspec.model.codec import Codec
 from ecatspec.model.dictionary import CROWDED, ObjectDictionary
-from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
+from ecatspec.model.evaluate import (
+    Environment,
+    Getter,
+    Lookup,
+    compile_expression,
+    constant,
+    remembered,
+)
 from ecatspec.model.functions import PLAIN
 from ecatspec.model.state import Event, RuleName, State
 from ecatspec.model.values import UNKNOWN, Value
@@ -261,21 +268,21 @@ class Model:
             case RegisterFieldRef(register=register, field=field):
                 return self._register_field(register, field)
             case ParameterRef(name=name, part=part):
-                constant = self.parameter(name, part)
-                return lambda _: constant
+                return constant(self.parameter(name, part))
             case ChoiceRef(name=name):
                 return self._choice(name)
             case AlternativeRef(name=name):
-                return lambda _: name
+                return constant(name)
             case ConditionRef(name=name):
                 known: Value = UNKNOWN
                 if self.assuming:
                     known = self.protocol.conditions[name].assumed
-                return lambda _: known
+                return constant(known)
             case ConstantRef(value=value):
-                return lambda _: value
+                return constant(value)
             case DefinitionRef(name=name):
-                return self.expression(self.protocol.definitions[name].value, scope, None)
+                definition = self.expression(self.protocol.definitions[name].value, scope, None)
+                return remembered(name, definition)
             case _:
                 assert_never(ref)
 

@@ -35,7 +35,7 @@ Function: TypeAlias = "Callable[[Environment, tuple[Value, ...]], Value]"
 class Environment:
     """What an expression sees: the values of one state and the parameters of one input."""
 
-    __slots__ = ("objects", "parameters", "slots", "undecided")
+    __slots__ = ("memo", "objects", "parameters", "slots", "undecided")
 
     def __init__(
         self,
@@ -48,6 +48,8 @@ class Environment:
         self.objects = objects
         self.parameters = parameters
         self.undecided: set[str] = set()
+        self.memo: dict[str, tuple[Value, frozenset[str]]] = {}
+        """What was found out already, with the choices that were met open on the way."""
 
 
 _NUMERIC: dict[str, Callable[[int, int], Value]] = {
@@ -74,8 +76,8 @@ def compile_expression(
         return compile_expression(part, lookup, functions)
 
     match expression:
-        case Literal(value=constant):
-            return lambda _: constant
+        case Literal(value=value):
+            return constant(value)
         case Name():
             return lookup(expression)
         case AnyValue(preferred=preferred):
@@ -84,10 +86,9 @@ def compile_expression(
             return _negation(compiled(operand))
         case Unary(operand=operand):
             return _minus(compiled(operand))
-        case Binary(operator="and", left=left, right=right):
-            return _junction(compiled(left), compiled(right), decisive=False)
-        case Binary(operator="or", left=left, right=right):
-            return _junction(compiled(left), compiled(right), decisive=True)
+        case Binary(operator="and" | "or" as word):
+            parts = [compiled(part) for part in _chain(expression, word)]
+            return _junction(parts, decisive=word == "or")
         case Binary(operator="==", left=left, right=right):
             return _equality(compiled(left), compiled(right))
         case Binary(operator="!=", left=left, right=right):
@@ -99,7 +100,11 @@ def compile_expression(
         case Conditional(condition=condition, then=then, otherwise=otherwise):
             return _conditional(compiled(condition), compiled(then), compiled(otherwise))
         case Call(function=name, arguments=arguments):
-            return _call(functions[name], [compiled(argument) for argument in arguments])
+            call = _call(functions[name], [compiled(argument) for argument in arguments])
+            paths = [argument.path for argument in arguments if isinstance(argument, Name)]
+            if len(paths) < len(arguments):
+                return call
+            return remembered(f"{name}({','.join(paths)})", call)
         case OneOf(items=items, excluded=excluded):
             bounds = [_bounds(item, compiled) for item in items]
             return _one_of(bounds, None if excluded is None else compiled(excluded))
@@ -140,15 +145,24 @@ def _minus(operand: Getter) -> Getter:
     return minus
 
 
-def _junction(left: Getter, right: Getter, *, decisive: bool) -> Getter:
+def _chain(expression: Expression, word: str) -> list[Expression]:
+    match expression:
+        case Binary(operator=operator_, left=left, right=right) if operator_ == word:
+            return [*_chain(left, word), *_chain(right, word)]
+        case _:
+            return [expression]
+
+
+def _junction(parts: list[Getter], *, decisive: bool) -> Getter:
     def junction(environment: Environment) -> Value:
-        first = left(environment)
-        if first is decisive:
-            return decisive
-        second = right(environment)
-        if second is decisive:
-            return decisive
-        return UNKNOWN if isinstance(first, Pattern) or isinstance(second, Pattern) else second
+        unknown = False
+        for part in parts:
+            value = part(environment)
+            if value is decisive:
+                return decisive
+            if isinstance(value, Pattern):
+                unknown = True
+        return UNKNOWN if unknown else not decisive
 
     return junction
 
@@ -177,9 +191,11 @@ def _arithmetic(function: Callable[[int, int], Value], left: Getter, right: Gett
 
 
 def _membership(operand: Getter, bounds: list[tuple[Getter, Getter]]) -> Getter:
+    fixed = _fixed_ranges(bounds)
+
     def membership(environment: Environment) -> Value:
         value = operand(environment)
-        ranges = _ranges(bounds, environment)
+        ranges = _ranges(bounds, environment) if fixed is None else fixed
         if isinstance(value, Pattern):
             return UNKNOWN if value.narrowed(ranges) else False
         return ranges.admits(value)
@@ -205,14 +221,51 @@ def _call(function: Function, arguments: list[Getter]) -> Getter:
 
 
 def _one_of(bounds: list[tuple[Getter, Getter]], excluded: Getter | None) -> Getter:
+    fixed = _fixed_ranges(bounds)
+
     def one_of(environment: Environment) -> Value:
-        ranges = _ranges(bounds, environment)
+        ranges = _ranges(bounds, environment) if fixed is None else fixed
         if excluded is None:
             return ranges
         without = excluded(environment)
         return Pattern(ranges.ranges, without if isinstance(without, int) else None)
 
     return one_of
+
+
+def constant(value: Value) -> Getter:
+    """Give the function of a value that is the same everywhere."""
+
+    def getter(_: Environment) -> Value:
+        return value
+
+    getter.value = value  # type: ignore[attr-defined]
+    return getter
+
+
+def remembered(name: str, getter: Getter) -> Getter:
+    """Give the same function, evaluated once in an environment, where the name is unique."""
+
+    def remember(environment: Environment) -> Value:
+        known = environment.memo.get(name)
+        if known is None:
+            outer, environment.undecided = environment.undecided, set()
+            value = getter(environment)
+            known = environment.memo[name] = (value, frozenset(environment.undecided))
+            environment.undecided = outer
+        if known[1]:
+            environment.undecided |= known[1]
+        return known[0]
+
+    return remember
+
+
+def _fixed_ranges(bounds: list[tuple[Getter, Getter]]) -> Pattern | None:
+    """Give the ranges where they are the same everywhere."""
+    parts = [getattr(getter, "value", None) for pair in bounds for getter in pair]
+    if not all(isinstance(part, int) for part in parts):
+        return None
+    return _ranges(bounds, Environment((), {}, {}))
 
 
 def _ranges(bounds: list[tuple[Getter, Getter]], environment: Environment) -> Pattern:

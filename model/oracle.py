@@ -34,6 +34,7 @@ MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 REFUSAL = "mailbox_error"
 """The frame that may overtake an answer: the request came while another was in work."""
 _LIMIT = 256
+_REMEMBERED = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,9 @@ class Oracle:
     unspecified: bool = False
     written: int = 0
     """When the MainDevice last wrote what the device may still be busy with."""
+    _known_steps: dict[tuple[int, State], tuple[Event, tuple[Step, ...]]] = field(
+        default_factory=dict
+    )
 
     # --- beginnings -------------------------------------------------------------------------------
 
@@ -175,7 +179,7 @@ class Oracle:
                 rule
                 for candidate in self.candidates
                 for pending in candidate.inbox
-                for taken in step(self.model, candidate.state, pending.event)
+                for taken in self._steps(candidate.state, pending.event)
                 for rule in taken.rules
             )
         )
@@ -285,7 +289,7 @@ class Oracle:
 
     def _pending(self, state: State, event: Event, time: int) -> Pending | None:
         """Give the input with its deadline; None when it changes nothing and has no deadline."""
-        steps = step(self.model, state, event)
+        steps = self._steps(state, event)
         within = max(taken.within for taken in steps)
         if not within and all(taken.state == state and not taken.outputs for taken in steps):
             return None
@@ -586,7 +590,7 @@ class Oracle:
         was_alive = self._alive(candidate)
         mail = bool(event.trail)
         served = []
-        for taken in step(self.model, candidate.state, event):
+        for taken in self._steps(candidate.state, event):
             outbox = candidate.outbox + taken.outputs
             if mail and candidate.outbox:
                 # a device answers in order, but it may refuse at once what comes too early
@@ -614,6 +618,16 @@ class Oracle:
             self.unspecified = self.unspecified or taken.unspecified
             served.append((after, history + taken.rules))
         return served
+
+    def _steps(self, state: State, event: Event) -> tuple[Step, ...]:
+        """Give the steps of an input that waits; it is asked for at every look until it is due."""
+        key = (id(event), state)
+        known = self._known_steps.get(key)
+        if known is None or known[0] is not event:
+            if len(self._known_steps) > _REMEMBERED:
+                self._known_steps.clear()
+            known = self._known_steps[key] = (event, step(self.model, state, event))
+        return known[1]
 
     def _alive(self, candidate: Candidate) -> bool:
         alive = self.model.definition("mailbox_alive")

@@ -1,0 +1,110 @@
+"""The only place for the cover of complete access: layouts, sizes, rights, refusals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import case_in
+from ecatspec.generators.sdo_cover import is_written, missing_indexes, state_of
+from ecatspec.generators.transfers import (
+    initiate,
+    normal_download,
+    other_sample,
+    read,
+    upload,
+)
+from ecatspec.model.dictionary import size_of
+from ecatspec.spec.language.ir import Access, Bool
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Case, Limits, SendFrame, Stimulus
+    from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import ObjectEntry
+
+_FEW = 3
+"""Messages of a transfer that a device may refuse: the rest would be stray segments."""
+FEATURE = "complete_access"
+
+
+def complete_cover(model: Model, limits: Limits) -> Iterator[Case]:
+    """Yield the cases: every object up and down, then what must be refused."""
+    for index, entries in objects(model).items():
+        for first in (0, 1):
+            name = f"{index:04X}_{first:02X}"
+            stimuli = read(index, first, complete=True)
+            yield _case(model, f"complete_upload/{name}", f"upload all from {first}", stimuli)
+        beyond = upload(index, 2, complete=True)
+        title = "complete upload from subindex 2"
+        yield _case(model, f"complete_upload/{index:04X}_02", title, [beyond])
+        if any(is_written(entry) for entry in entries):
+            yield from _downloads(model, limits, index, entries)
+    for index in missing_indexes(model):
+        ask = upload(index, 0, complete=True)
+        title = "complete upload of a missing object"
+        yield _case(model, f"complete_no_object/upload/{index:04X}", title, [ask])
+        put = initiate(index, 0, 2, b"\1\0", complete=True)
+        title = "complete download of a missing object"
+        yield _case(model, f"complete_no_object/download/{index:04X}", title, [put])
+
+
+def objects(model: Model) -> dict[int, list[ObjectEntry]]:
+    """Give the declared entries of each object."""
+    found: dict[int, list[ObjectEntry]] = {}
+    for entry in sorted(model.protocol.objects, key=lambda e: (e.index, e.subindex)):
+        found.setdefault(entry.index, []).append(entry)
+    return found
+
+
+def image(entries: list[ObjectEntry], first: int) -> bytes:
+    """Give the bytes of a complete download with other values than there were."""
+    data = b""
+    for entry in entries:
+        if entry.subindex >= first:
+            size = 2 * size_of(entry) if entry.subindex == 0 else size_of(entry)
+            value = other_sample(entry) if is_written(entry) else b""
+            data += value.ljust(size, b"\0")
+    return data
+
+
+def _downloads(
+    model: Model, limits: Limits, index: int, entries: list[ObjectEntry]
+) -> Iterator[Case]:
+    states = {state_of(entry) for entry in entries if is_written(entry)}
+    state = states.pop() if len(states) == 1 else "PREOP"
+    back = [
+        stimulus
+        for entry in entries
+        if entry.access is not Access.WRITE
+        for stimulus in read(index, entry.subindex)
+    ]
+    bits = any(isinstance(entry.type, Bool) for entry in entries)
+    for first in (0, 1):
+        data = image(entries, first)
+        if not data or bits:
+            continue
+        shapes: dict[str, list[SendFrame]] = {
+            "whole": normal_download(model, (index, first), data, limits, complete=True),
+            "size_only": normal_download(
+                model, (index, first), data, limits, first=0, complete=True
+            ),
+            "shorter": normal_download(model, (index, first), data[:-1], limits, complete=True),
+            "longer": normal_download(model, (index, first), data + b"\1", limits, complete=True),
+        }
+        if len(entries) == 1:
+            shapes = {"whole": shapes["whole"][:_FEW]}
+        for word, requests in shapes.items():
+            name = f"complete_download_{word}/{index:04X}_{first:02X}"
+            stimuli: list[Stimulus] = [*back, *requests, *back]
+            title = f"download all from {first}, {word.replace('_', ' ')}"
+            yield _case(model, name, title, stimuli, state)
+    put = initiate(index, 2, 2, b"\1\0", complete=True)
+    title = "complete download from subindex 2"
+    yield _case(model, f"complete_download_from_2/{index:04X}", title, [*back, put, *back], state)
+
+
+def _case(
+    model: Model, name: str, title: str, stimuli: list[Stimulus], state: str = "PREOP"
+) -> Case:
+    return case_in(model, f"sdo/{name}", title, stimuli, state=state, feature=FEATURE)

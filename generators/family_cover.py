@@ -1,0 +1,62 @@
+"""The only place where the families of every request become cases."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import case_in, row
+from ecatspec.generators.families import Family, family_of, request_frames
+from ecatspec.generators.mailbox_cover import probe_entry
+from ecatspec.generators.transfer_cover import transfer_target
+from ecatspec.generators.transfers import initiate, pattern
+from ecatspec.model.dictionary import size_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Case, Limits, Stimulus
+    from ecatspec.model.compiled import Model
+    from ecatspec.model.values import Value
+
+
+def family_cover(model: Model, limits: Limits) -> Iterator[Case]:
+    """Yield each variant of each request once, where a valid one would be served."""
+    known = probe_entry(model)
+    if known is None:
+        return
+    target = transfer_target(model) or known
+    least = model.parameter("smallest_data_field")
+    size = min(size_of(target), least + 1)
+    place: dict[str, Value] = {"index": target.index, "subindex": target.subindex}
+    begin = initiate(target.index, target.subindex, size, b"")
+    bases: dict[str, tuple[dict[str, Value], list[Stimulus]]] = {
+        "sdo_upload_request": ({"index": known.index, "subindex": known.subindex}, []),
+        "sdo_download_expedited": ({**place, "size_indicated": True, "value": b"\1"}, []),
+        "sdo_download_normal": (
+            {**place, "size_indicated": True, "size": size, "value": pattern(size)},
+            [],
+        ),
+        "sdo_download_segment": ({"last": True, "value": pattern(size)}, [begin]),
+        "sdo_upload_segment": ({}, []),
+        "sdo_abort": (place, []),
+        "information_list_request": ({"list_type": row(model, "object_list_type", "all")}, []),
+        "information_object_request": ({"index": known.index}, []),
+        "information_entry_request": ({"index": known.index, "subindex": known.subindex}, []),
+    }
+    for frame in request_frames(model):
+        if frame not in bases:
+            continue
+        base, before = bases[frame]
+        for variant in family_of(model, frame, base):
+            layer = "sdo_information" if frame.startswith("information") else "sdo"
+            name = f"{layer}/{variant.family}/{frame}/{variant.name}"
+            title = f"{variant.family} {frame}: {variant.name.replace('_', ' ')}"
+            broken = variant.family is Family.MALFORMED and limits.segment_data is not None
+            yield case_in(
+                model,
+                name,
+                title,
+                [*before, variant.stimulus],
+                flag=variant.flag,
+                feature="malformed" if broken else "",
+            )

@@ -1,0 +1,402 @@
+"""The only place for the cover of normal and segmented transfers: sizes, toggles, interruptions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import case_in, request, row
+from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, SendSegments, Stimulus
+from ecatspec.generators.sdo_cover import entry_name, is_written, missing_indexes, state_of, writing
+from ecatspec.generators.transfers import (
+    abort,
+    download,
+    expedited_size,
+    initiate,
+    initiate_room,
+    normal_download,
+    other_sample,
+    pattern,
+    read,
+    sample,
+    segment,
+    segment_room,
+    segments,
+    upload,
+    upload_segment,
+)
+from ecatspec.model.dictionary import size_of, size_varies
+from ecatspec.spec.language.ir import Access, Bool
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import ObjectEntry
+
+
+def transfer_cover(model: Model, limits: Limits) -> Iterator[Case]:
+    """Yield the cases: sizes of every writable entry, then all that can go wrong in the middle."""
+    for entry in model.protocol.objects:
+        if is_written(entry):
+            yield from _sizes(model, limits, entry)
+        else:
+            value = pattern(min(64, size_of(entry)))
+            stimuli: Sequence[Stimulus] = writing(
+                model, entry, normal_download(model, _key(entry), value, limits)
+            )
+            name = f"sdo/normal_read_only/{entry_name(entry)}"
+            yield case_in(model, name, "normal write to a read-only entry", stimuli)
+    for index in missing_indexes(model):
+        stimuli = normal_download(model, (index, 0), pattern(8), limits)
+        name = f"sdo/normal_no_object/{index:04X}"
+        yield case_in(model, name, "normal write to a missing object", stimuli)
+    least = model.parameter("smallest_data_field")
+    strays: dict[str, tuple[str, Stimulus]] = {
+        "stray_segment": (
+            "segment without a transfer",
+            segment(pattern(least), toggle=False, last=True),
+        ),
+        "stray_first_segment": (
+            "segment without a transfer, more to come",
+            segment(pattern(least), toggle=False, last=False),
+        ),
+        "stray_upload_segment": (
+            "segment request without a transfer",
+            upload_segment(toggle=False),
+        ),
+    }
+    for name, (title, stray) in strays.items():
+        yield case_in(model, f"sdo/transfer/{name}", title, [stray])
+    target = transfer_target(model)
+    if target is not None:
+        yield from _interruptions(model, limits, target)
+    long = _long_entry(model)
+    if long is not None:
+        yield from _uploads(model, long)
+
+
+def transfer_target(model: Model) -> ObjectEntry | None:
+    """Give the entry that transfers are tried on: writable always, readable, as long as can be."""
+    found = [
+        e
+        for e in model.protocol.objects
+        if e.access is Access.BOTH
+        and not e.states
+        and e.low is None
+        and not isinstance(e.type, Bool)
+    ]
+    return max(found, key=lambda e: (size_varies(e), min(size_of(e), _ENOUGH)), default=None)
+
+
+_ENOUGH = 2000
+"""Bytes that take several segments over any mailbox."""
+
+
+def _key(entry: ObjectEntry) -> tuple[int, int]:
+    return entry.index, entry.subindex
+
+
+def _long_entry(model: Model) -> ObjectEntry | None:
+    """Give an entry whose upload takes segments, written first where that is needed."""
+    room = model.parameter("mailbox_in", "length") - model.parameter("initiate_overhead")
+    for entry in model.protocol.objects:
+        if entry.access is Access.BOTH and not entry.states and room < size_of(entry) <= _ENOUGH:
+            return entry
+    return None
+
+
+# --- sizes ----------------------------------------------------------------------------------------
+
+
+def _sizes(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]:
+    name, state = entry_name(entry), state_of(entry)
+    value = other_sample(entry)
+    for word, requests in _forms(model, limits, entry, value).items():
+        stimuli = writing(model, entry, requests)
+        title = f"write {len(value)} bytes, {word.replace('_', ' ')}"
+        yield case_in(model, f"sdo/{word}/{name}", title, stimuli, state=state)
+    if not size_varies(entry):
+        for size in (size_of(entry) - 1, size_of(entry) + 1, size_of(entry) + _FAR):
+            if size > 0:
+                wrong = pattern(size)
+                for word, first in (("normal", None), ("segmented", 0)):
+                    requests = normal_download(model, _key(entry), wrong, limits, first=first)
+                    stimuli = writing(model, entry, requests)
+                    case = f"sdo/{word}_{size}_bytes/{name}"
+                    yield case_in(model, case, f"write {size} bytes, {word}", stimuli, state=state)
+        return
+    for size in _lengths(model, limits, size_of(entry)):
+        requests = normal_download(model, _key(entry), pattern(size), limits)
+        if size > size_of(entry):
+            requests = requests[:_FEW]
+        stimuli = writing(model, entry, requests)
+        case = f"sdo/length_{size}/{name}"
+        yield case_in(model, case, f"write {size} bytes", stimuli, state=state)
+
+
+_FEW = 4
+"""Messages after which a device must have refused what is too long."""
+_FAR = 40
+"""So many bytes more are more than a rounding of the size."""
+
+
+def _forms(
+    model: Model, limits: Limits, entry: ObjectEntry, value: bytes
+) -> dict[str, list[SendFrame]]:
+    """Give the ways in which a client may bring the same value."""
+    key = _key(entry)
+    forms = {"normal": normal_download(model, key, value, limits)}
+    if value:
+        forms["size_only"] = normal_download(model, key, value, limits, first=0)
+        forms["single_bytes"] = normal_download(
+            model, key, value[:_ENOUGH], limits, first=0, piece=1
+        )
+        begun = initiate(*key, len(value), b"")
+        least = model.parameter("smallest_data_field")
+        full = segments(value, max(least, segment_room(model, limits)))
+        open_end = [segment_with(s, last=False) for s in full]
+        toggle = len(full) % 2 == 1
+        forms["empty_last_segment"] = [begun, *open_end, segment(b"", toggle=toggle, last=True)]
+    if len(value) > 1:
+        forms["first_byte_ahead"] = normal_download(model, key, value, limits, first=1)
+    return forms
+
+
+def segment_with(stimulus: SendFrame, **changes: int) -> SendFrame:
+    """Give a segment with other flags."""
+    return SendFrame(stimulus.frame, {**stimulus.fields, **changes})
+
+
+def _lengths(model: Model, limits: Limits, most: int) -> list[int]:
+    """Give the lengths at which the shape of a transfer changes, and those at the object's end."""
+    first, more = initiate_room(model, limits), segment_room(model, limits)
+    back = model.parameter("mailbox_in", "length")
+    answered = back - model.parameter("initiate_overhead")
+    further = back - model.parameter("segment_overhead")
+    least, expedited = model.parameter("smallest_data_field"), expedited_size(model)
+    edges = {0, 1, expedited, expedited + 1, first, first + 1, first + least, first + least + 1}
+    edges |= {first + more, first + more + 1, answered, answered + 1, answered + further}
+    edges |= {answered + further + 1, most, most + 1}
+    if most <= _ENOUGH:
+        edges |= {most - 1, most + _FAR}
+    return sorted(edge for edge in edges if 0 <= edge <= most + _FAR)
+
+
+# --- what can happen in the middle of a download --------------------------------------------------
+
+
+def _interruptions(model: Model, limits: Limits, target: ObjectEntry) -> Iterator[Case]:
+    key = _key(target)
+    piece = min(segment_room(model, limits), max(1, size_of(target) // 3))
+    size = min(3 * piece, size_of(target))
+    value = pattern(size)
+    begin = initiate(*key, size, b"")
+    one, two, three = ([*segments(value, piece), *[segments(value, piece)[-1]] * 3])[:3]
+    first = segment_with(one, last=0)
+    second = segment_with(two, last=0)
+    probe = next(
+        e
+        for e in model.protocol.objects
+        if e.access is not Access.WRITE and not e.states and _key(e) != key
+    )
+    elsewhere = upload(probe.index, probe.subindex)
+    longer = segment(pattern(segment_room(model, limits)), toggle=True, last=True)
+    rest = bytes(model.parameter("smallest_data_field"))
+    odd = {
+        row_value: SendFrame("sdo_request", {"command": row_value, "rest": rest})
+        for row_value in _unknown_commands(model)
+    }
+    flip = segment_with(first, toggle=1)
+    runs: dict[str, tuple[str, list[Stimulus]]] = {
+        "wrong_first_toggle": ("first toggle bit is 1", [begin, flip]),
+        "wrong_first_toggle_last": (
+            "first toggle bit of the only segment is 1",
+            [
+                initiate(*key, min(7, size), b""),
+                segment(value[: min(7, size)], toggle=True, last=True),
+            ],
+        ),
+        "wrong_second_toggle": (
+            "toggle bit does not alternate",
+            [begin, first, segment_with(second, toggle=0)],
+        ),
+        "segment_again": ("the same segment twice", [begin, first, first]),
+        "toggle_then_right": (
+            "the right toggle bit after a wrong one",
+            [begin, flip, first, second, three],
+        ),
+        "toggle_then_new": (
+            "a new transfer after a wrong toggle bit",
+            [begin, flip, *normal_download(model, key, value, limits)],
+        ),
+        "beyond_at_last": (
+            "last segment beyond the announced size",
+            [initiate(*key, piece, b""), segment_with(first, last=0), longer],
+        ),
+        "beyond_in_one": (
+            "one segment beyond the announced size",
+            [initiate(*key, 1, b""), segment_with(longer, toggle=0)],
+        ),
+        "beyond_in_the_middle": (
+            "more than announced before the last segment",
+            [initiate(*key, piece, b""), first, second, three],
+        ),
+        "too_early": (
+            "last segment before the announced size",
+            [begin, segment_with(first, last=1)],
+        ),
+        "too_early_empty": (
+            "empty last segment before the announced size",
+            [begin, first, segment(b"", toggle=True, last=True)],
+        ),
+        "empty_segment": (
+            "an empty segment in the middle",
+            [
+                begin,
+                first,
+                segment(b"", toggle=True, last=False),
+                segment_with(second, toggle=0),
+                segment_with(three, toggle=1),
+            ],
+        ),
+        "after_the_end": (
+            "a segment after the last one",
+            [
+                begin,
+                first,
+                second,
+                three,
+                segment_with(three, toggle=1),
+            ],
+        ),
+        "new_upload": ("an upload in the middle of a download", [begin, first, elsewhere, second]),
+        "new_download": (
+            "another download in the middle of a download",
+            [begin, first, *normal_download(model, key, pattern(size, 3), limits)],
+        ),
+        "new_begin": ("the same download begun again", [begin, first, begin, first, second, three]),
+        "wrong_direction": (
+            "segment request in the middle of a download",
+            [begin, first, upload_segment(toggle=True)],
+        ),
+        "wrong_direction_first": (
+            "segment request right after the begin of a download",
+            [begin, upload_segment(toggle=False)],
+        ),
+        "client_abort": (
+            "abort in the middle of a download",
+            [begin, first, abort(*key, 0), second],
+        ),
+        "client_abort_first": (
+            "abort right after the begin of a download",
+            [begin, abort(*key, 0), first],
+        ),
+        "unfinished": ("a download that is not finished", [begin, first]),
+        "over_init": (
+            "a download over a restart of the mailbox",
+            [begin, first, *_restart(model), second],
+        ),
+        "shorter_after": (
+            "a shorter value after a longer one",
+            [
+                *normal_download(model, key, value, limits),
+                *normal_download(model, key, pattern(max(1, size // 2), 5), limits),
+            ],
+        ),
+        "rest_of_before": (
+            "a short value right after an unfinished long one",
+            [begin, first, *normal_download(model, key, pattern(min(5, size), 9), limits, first=0)],
+        ),
+        "duplicate_segment": (
+            "a segment with the counter of the one before",
+            [
+                begin,
+                first,
+                SendFrame(second.frame, second.fields, same_counter=True),
+                second,
+                three,
+            ],
+        ),
+        "repeat_in_transfer": (
+            "a repeat in the middle of a download",
+            [begin, first, Repeat(), second, three],
+        ),
+    }
+    for command, request_ in odd.items():
+        runs[f"unknown_command_{command}"] = (
+            "unknown command in the middle of a download",
+            [begin, first, request_, *normal_download(model, key, pattern(size, 1), limits)],
+        )
+    for name, (title, stimuli) in runs.items():
+        feature = "repeat" if name.startswith("repeat") else ""
+        looked = writing(model, target, stimuli)
+        yield case_in(model, f"sdo/transfer/{name}", title, looked, feature=feature)
+
+
+def _unknown_commands(model: Model) -> list[int]:
+    table = model.protocol.tables["client_command"]
+    known = {r.value for r in table.rows}
+    return [value for value in range(1 << table.width) if value not in known]
+
+
+def _restart(model: Model) -> list[Stimulus]:
+    return [request(row(model, "al_state", name)) for name in ("INIT", "PREOP")]
+
+
+# --- what can happen in the middle of an upload ---------------------------------------------------
+
+
+def _uploads(model: Model, entry: ObjectEntry) -> Iterator[Case]:
+    key = _key(entry)
+    ask = upload(*key)
+    fill = normal_download(model, key, pattern(size_of(entry), 4))
+    get, turned = upload_segment(toggle=False), upload_segment(toggle=True)
+    other = segment(sample(entry)[:7] or b"\1", toggle=False, last=True)
+    probe = next(e for e in model.protocol.objects if e.access is not Access.WRITE and not e.states)
+    runs: dict[str, tuple[str, list[Stimulus]]] = {
+        "upload_whole": ("upload in segments", [ask, SendSegments()]),
+        "upload_wrong_first_toggle": ("first toggle bit of an upload is 1", [ask, turned]),
+        "upload_wrong_second_toggle": (
+            "toggle bit of an upload does not alternate",
+            [ask, get, get],
+        ),
+        "upload_toggle_then_right": ("the right toggle bit after a wrong one", [ask, turned, get]),
+        "upload_toggle_then_new": (
+            "a new upload after a wrong toggle bit",
+            [ask, turned, ask, SendSegments()],
+        ),
+        "upload_after_the_end": (
+            "a segment request after the last segment",
+            [ask, SendSegments(), get, turned],
+        ),
+        "upload_begun_again": ("the same upload begun again", [ask, get, ask, SendSegments()]),
+        "upload_other": (
+            "another upload in the middle",
+            [ask, get, upload(probe.index, probe.subindex), turned],
+        ),
+        "upload_then_download": (
+            "a download in the middle of an upload",
+            [ask, get, *fill, turned],
+        ),
+        "upload_wrong_direction": (
+            "a download segment in the middle of an upload",
+            [ask, get, other],
+        ),
+        "upload_client_abort": (
+            "abort in the middle of an upload",
+            [ask, get, abort(*key, 0), turned],
+        ),
+        "upload_over_init": (
+            "an upload over a restart of the mailbox",
+            [ask, get, *_restart(model), turned],
+        ),
+        "upload_repeat": ("a repeat in the middle of an upload", [ask, get, Repeat(), turned]),
+        "upload_expedited_write": (
+            "a small write in the middle of an upload",
+            [ask, download(*key, b"\1"), get],
+        ),
+    }
+    for name, (title, stimuli) in runs.items():
+        feature = "repeat" if name.endswith("repeat") else ""
+        looked = [*fill, *read(*key), *stimuli]
+        yield case_in(model, f"sdo/transfer/{name}", title, looked, feature=feature)

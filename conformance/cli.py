@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 import rich_click as click
 
+from ecatspec.generators.case import DEPTHS
 from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ DOES_NOT_CONFORM: Final = 1
 WRONG_INPUT: Final = 2
 INTERRUPTED: Final = 130
 
-DEPTHS: Final = ("quick", "default")
 _PIPE_WIDTH: Final = 120
 
 EXAMPLES: Final = {
@@ -109,7 +109,13 @@ def cli(context: click.Context) -> int:
 @click.argument("device")
 @click.option("--dut", default="model", show_default=True, help="How to reach the device.")
 @click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
-@click.option("--depth", type=click.Choice(DEPTHS), default="default", show_default=True)
+@click.option(
+    "--depth",
+    type=click.Choice(DEPTHS),
+    default="default",
+    show_default=True,
+    help="quick: one entry of each kind, fewer random runs.",
+)
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
 @click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
 @click.option(

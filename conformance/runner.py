@@ -218,7 +218,7 @@ def run_device(
     try:
         description = adapter.describe()
         runner = Runner(model, adapter, description)
-        cases = list(all_cases(model, limits_of(description)))
+        cases = list(all_cases(model, limits_of(description), depth))
         try:
             runner.run(cases, progress, len(cases))
             runner.explore(EXAMPLES[depth], seed, progress)

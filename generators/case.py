@@ -72,6 +72,8 @@ class Limits:
 
 
 NO_LIMITS = Limits()
+DEPTHS = ("quick", "default")
+"""How much a run tries."""
 
 
 @dataclass(frozen=True, slots=True)

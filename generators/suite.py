@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from ecatspec.generators.case import Case, Limits
     from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import ObjectEntry
 
 GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = MappingProxyType(
     {
@@ -32,7 +33,34 @@ GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = Map
 )
 
 
-def all_cases(model: Model, limits: Limits) -> Iterator[Case]:
-    """Yield all fixed cases of a protocol in the order in which they run."""
+def all_cases(model: Model, limits: Limits, depth: str = "default") -> Iterator[Case]:
+    """Yield all fixed cases of a protocol in the order in which they run.
+
+    `quick`: of cases that differ in the entry only, those of one entry of each kind.
+    """
+    kinds = _kinds(model) if depth == "quick" else {}
+    seen: set[tuple[str, object]] = set()
     for generate in GENERATORS.values():
-        yield from generate(model, limits)
+        for case in generate(model, limits):
+            what, _, key = case.name.rpartition("/")
+            kind = kinds.get(key)
+            if kind is not None and (what, kind) in seen:
+                continue
+            seen.add((what, kind))
+            yield case
+
+
+def _kinds(model: Model) -> dict[str, object]:
+    """Give what tells one entry from another of its kind, by the name that it has in cases."""
+    objects: dict[int, list[ObjectEntry]] = {}
+    for entry in model.protocol.objects:
+        objects.setdefault(entry.index, []).append(entry)
+    kinds: dict[str, object] = {}
+    for index, entries in objects.items():
+        own = {e.subindex: (e.type, e.access, e.states, e.constant, e.low is None) for e in entries}
+        kinds |= {f"{index:04X}_{subindex:02X}": kind for subindex, kind in own.items()}
+        shape = tuple(dict.fromkeys(own.values())), len(entries) > 1
+        kinds[f"{index:04X}"] = shape
+        for first in (0, 1, 2):
+            kinds.setdefault(f"{index:04X}_{first:02X}", shape)
+    return kinds

@@ -196,6 +196,19 @@ class Model:
         messages = (self.codec.decode(data, root) for root in self._roots)
         return next((message for message in messages if message is not None), None)
 
+    def takers(self, sender: str, trail: tuple[str, ...]) -> list[tuple[str, str]]:
+        """Give the inputs of other machines that take a frame: those of its innermost layout."""
+        for layout in reversed(trail):
+            found = [
+                (machine.name, source.name)
+                for machine in self.protocol.machines.values()
+                for source in machine.inputs
+                if machine.name != sender and source.kind == "frame" and layout in source.origin
+            ]
+            if found:
+                return found
+        return []
+
     def mail(self, message: Message, *, crowded: bool) -> Event:
         """Give the input that a message is; `crowded`: an earlier one was unanswered."""
         source = next(

@@ -255,7 +255,7 @@ class ObjectDictionary:
         width = entry.type.width if isinstance(entry.type, UInt | SInt) else None
         if isinstance(entry.type, Bool):
             width = 1
-        return self._told(_BYTE * size_of(entry) & 0xFF_FF if width is None else width)
+        return self._told(_BYTE * size_of(entry) % (1 << 16) if width is None else width)
 
 
 CROWDED = "request in work"

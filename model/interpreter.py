@@ -168,12 +168,8 @@ def _given(model: Model, event: Event, target: str, arguments: Mapping[str, Valu
         machine, _, name = target.partition(".")
         return [Event(machine, name, arguments)]
     return [
-        Event(machine.name, source.name, event.parameters, event.trail)
-        for machine in model.protocol.machines.values()
-        for source in machine.inputs
-        if machine.name != event.machine
-        and source.kind == "frame"
-        and event.trail[-1] in source.origin
+        Event(machine, source, event.parameters, event.trail)
+        for machine, source in model.takers(event.machine, event.trail)
     ]
 
 

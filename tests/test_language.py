@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ecatspec.spec.language.check import check_protocol, check_texts, unused
+from ecatspec.spec.language.check import check_protocol, check_texts, check_words, unused
 from ecatspec.spec.language.diagnostics import Code, SpecError
 from ecatspec.spec.language.ir import (
     Access,
+    After,
     Alternative,
     Anomaly,
     AnyValue,
@@ -33,6 +34,8 @@ from ecatspec.spec.language.ir import (
     Dictionary,
     Example,
     Expression,
+    Extend,
+    Fault,
     Frame,
     FrameField,
     Gap,
@@ -54,6 +57,7 @@ from ecatspec.spec.language.ir import (
     RegisterField,
     Remove,
     Replace,
+    ReplaceField,
     Rule,
     Send,
     SetParameter,
@@ -76,6 +80,7 @@ from ecatspec.spec.language.load import (
     load_device,
     load_file,
     load_standard,
+    plant,
 )
 from ecatspec.spec.language.parse import decode, parse_text
 from ecatspec.spec.language.pretty import pretty, pretty_expression
@@ -97,9 +102,8 @@ from ecatspec.spec.language.scope import (
 ROOT = Path(__file__).resolve().parent.parent
 BAD = ROOT / "tests" / "bad"
 BASE = parse_text((BAD / "base.ecs").read_text("utf-8"), "base.ecs")
-SHIPPED = sorted(
-    path for folder in ("standard", "devices") for path in (ROOT / "spec" / folder).glob("*.ecs")
-)
+FOLDERS = ("standard", "devices", "faults")
+SHIPPED = sorted(path for folder in FOLDERS for path in (ROOT / "spec" / folder).glob("*.ecs"))
 MARK = b"# <-- here"
 
 
@@ -374,7 +378,7 @@ def test_a_closed_table_narrows_what_rules_set() -> None:
         ("closed al_status_code { 0x0099 } [M-01]", "ECS401"),
         ("replace rule al.to_init [M-01] goto INIT", "ECS402"),
         ("replace rule al.to_init [M-01] set error = false", "ECS402"),
-        ("pin refused_in_op = stay [BASE-01]", "ECS404"),
+        ('manual "a" "b" pin refused_in_op = stay [BASE-01]', "ECS404"),
         ("objects 0x2000 : 0 a u8 rw = 256 [M-01]", "ECS405"),
         ('objects 0x2000 : 0 a text(2) rw = "abc" [M-01]', "ECS405"),
         ("pin refused_in_op = stay [M-01] pin refused_in_op = stay [M-01]", "ECS102"),
@@ -385,6 +389,255 @@ def test_device_statement_is_refused(statement: str, code: str) -> None:
     with pytest.raises(SpecError) as caught:
         compile_texts([BASE, device(statement)])
     assert code in codes(caught.value)
+
+
+def test_a_device_text_without_a_manual_needs_no_claims() -> None:
+    statements = "pin refused_in_op = stay [BASE-01]"
+    assert compile_texts([BASE, device(statements)]).pins
+    bare = parse_text(f'device mine extends standard "x" {statements}', "mine.ecs")
+    assert compile_texts([BASE, bare]).pins
+
+
+# --- the newer constructs: what they do, and where they are refused -------------------------------
+
+AROUND = """
+frame inner in mailbox when length = 1 [X-01]
+  part : u8
+  rest : bytes
+machine extra "a machine"
+  states   al_state { INIT } initial INIT
+  variable count : u8 = 0
+  variable held  : bytes = zeros(0)
+  input    event(number: u8)
+  input    frame_came from frame mailbox
+  input    happens local (number: u8)
+"""
+HEAD = 'standard extra "x"\nclause X-01 must "x" source "x"\n'
+
+
+def of_rule(body: str, source: str = "event") -> str:
+    return f"{HEAD}{AROUND}\n  rule only [X-01]\n    from INIT on {source}\n    {body}\n"
+
+
+@pytest.mark.parametrize(
+    ("body", "source"),
+    [
+        ("send inner(part = 1, rest = piece(held, 0, 0, reply.part))", "event"),
+        ("send inner(part = any preferably 255) after set count = reply.part", "event"),
+        ("send inner(part = 1) after give extra.event(number = reply.part)", "event"),
+        ("set count = 1 send inner(part = 1) after set count = 2", "event"),
+        ("send mailbox(payload = held) send inner(part = 1) after set count = reply.part", "event"),
+        ("store complete 1 : 2 = any", "event"),
+        ("store complete number : number = held", "happens"),
+        ("deliver", "frame_came"),
+        ("resend", "event"),
+        ("set count = number", "happens"),
+    ],
+)
+def test_newer_paragraph_is_taken(body: str, source: str) -> None:
+    protocol = compile_texts([BASE, parse_text(of_rule(body, source), "text")])
+    assert len(protocol.machines["extra"].rules) == 1
+
+
+@pytest.mark.parametrize(
+    ("body", "source", "code"),
+    [
+        # reply.FIELD means something in the send and in `after`, where the frame has the field
+        ("when reply.part == 1 send inner(part = 1)", "event", "ECS101"),
+        ("set count = reply.part send inner(part = 1)", "event", "ECS101"),
+        ("store 1 : 2 = reply.rest send inner(part = 1)", "event", "ECS101"),
+        ("send inner(part = 1) give extra.event(number = reply.part)", "event", "ECS101"),
+        ("send inner(part = reply.nothing)", "event", "ECS101"),
+        ("send inner(part = 1) after set count = reply.nothing", "event", "ECS101"),
+        ("send inner(part = 1) after set nothing = 1", "event", "ECS101"),
+        ("send inner(part = reply.part)", "event", "ECS101"),
+        (
+            "send inner(part = length(reply.rest), rest = piece(held, 0, 0, reply.part))",
+            "event",
+            "ECS101",
+        ),
+        ("set count = any preferably nothing", "event", "ECS101"),
+        # once and for all
+        ("send inner(part = 1) after set count = 1, count = 2", "event", "ECS102"),
+        # after a frame, and only what can come after it
+        ("after set count = 1", "event", "ECS106"),
+        ("set count = 1 after give extra.event(number = 1)", "event", "ECS106"),
+        ("send inner(part = 1) after resend", "event", "ECS202"),
+        ("send inner(part = 1) after deliver", "frame_came", "ECS202"),
+        # nothing to deliver, nobody outside who could let it happen
+        ("deliver", "event", "ECS202"),
+        ("deliver", "happens", "ECS202"),
+        ("give extra.happens(number = 1)", "event", "ECS106"),
+        # kinds and widths
+        ("set count = any preferably true", "event", "ECS202"),
+        ("set count = any preferably 256", "event", "ECS201"),
+        ("send inner(part = any preferably 256)", "event", "ECS201"),
+        ("send inner(part = 1) after set count = true", "event", "ECS202"),
+        ("send inner(part = 1) after set count = 256", "event", "ECS201"),
+        ("store complete true : 2 = any", "event", "ECS202"),
+        ("store complete 1 : 256 = any", "event", "ECS201"),
+        ("store complete 1 : 2 = 5", "event", "ECS202"),
+        ("store 1 : 2 = true", "event", "ECS202"),
+    ],
+)
+def test_newer_paragraph_is_refused(body: str, source: str, code: str) -> None:
+    assert set(codes(compiled(of_rule(body, source)))) == {code}
+
+
+@pytest.mark.parametrize(
+    ("declaration", "code"),
+    [
+        ("frame other in mailbox when length = 2  part : u8 filled nothing", "ECS101"),
+        ("frame other in mailbox when length = 2  part : u8 filled 256", "ECS201"),
+        ("frame other in mailbox when length = 2  part : u8 filled true", "ECS202"),
+        ("frame other in mailbox when length = 2  part : bytes filled 7", "ECS202"),
+        ("frame other in mailbox when length = 2  part : u8 = 1 filled 2", "ECS204"),
+        ("frame other in mailbox when length = 2  part : u8 filled part + 1", "ECS204"),
+        ("objects 0x2000 : 0 a bytes(4) rw = 7", "ECS405"),
+        ("objects 0x2000 : 0 a bytes(4) rw range 1 .. 2", "ECS405"),
+        ('objects 0x2000 : 0 a bytes(2) rw = "abc"', "ECS405"),
+        ("objects 0x2000 : 0 a bytes(preop_timeout) rw", "ECS405"),
+        ("objects 0x2000 : 0 a bytes(true) rw", "ECS405"),
+        # what changes the standard has no effect in a text of the standard
+        ("extend al variable more : u8 = 0", "ECS402"),
+        ("pin refused_in_op = stay [X-01]", "ECS402"),
+        ("replace field mailbox.length [X-01] reply 7", "ECS402"),
+        ('fault wrong "x" [X-01] remove rule al.to_init [X-01]', "ECS402"),
+        (
+            'machine more "x" states al_state { INIT } initial INIT input a local (n: nowhere)',
+            "ECS106",
+        ),
+    ],
+)
+def test_newer_declaration_is_refused(declaration: str, code: str) -> None:
+    assert set(codes(compiled(HEAD + declaration))) == {code}
+
+
+@pytest.mark.parametrize(
+    ("statement", "code"),
+    [
+        ("extend nothing variable more : u8 = 0", "ECS401"),
+        ("extend al variable code : u8 = 0", "ECS102"),
+        ("extend al input request()", "ECS102"),
+        ("extend al rule to_init [M-01] from INIT on request when false", "ECS103"),
+        ("extend al rule more [M-01] from INIT on request when requested == INIT", "ECS301"),
+        ("extend al rule more from INIT on request", "ECS105"),
+        ("extend al rule more [M-01] from NOWHERE on request", "ECS106"),
+        ("extend al variable more : u8 = true", "ECS202"),
+        ("replace field nothing.length [M-01] reply 1", "ECS401"),
+        ("replace field mailbox.nothing [M-01] reply 1", "ECS401"),
+        ("replace field mailbox.length [M-01] reply true", "ECS202"),
+        ("replace field mailbox.length [M-01] reply 70000", "ECS201"),
+        ("replace field mailbox.length [M-01] reply 7 into al.nothing", "ECS101"),
+        (
+            "replace field mailbox.length [M-01] reply 7\n"
+            "replace field mailbox.length [M-01] reply 8",
+            "ECS102",
+        ),
+        ('fault wrong "x" [M-01] remove rule al.to_init [M-01]', "ECS402"),
+    ],
+)
+def test_newer_device_statement_is_refused(statement: str, code: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        compile_texts([BASE, device(statement)])
+    assert set(codes(caught.value)) == {code}
+
+
+def test_a_field_that_stays_as_it_is_changes_nothing() -> None:
+    frame = "frame other in mailbox when length = 2 [X-01]  part : u8 reply 7"
+    with pytest.raises(SpecError) as caught:
+        compile_texts(
+            [
+                BASE,
+                parse_text(HEAD + frame, "text"),
+                device("replace field other.part [M-01] reply 7"),
+            ]
+        )
+    assert codes(caught.value) == ["ECS402"]
+
+
+def test_a_device_text_extends_a_machine_and_replaces_a_field() -> None:
+    text = device(
+        "extend al\n"
+        "  variable more : u8 = 0\n"
+        "  input    happens local (number: u8)\n"
+        "  rule counted [M-01] from INIT on happens set more = number\n"
+        "  gap silence [M-01] from PREOP on happens\n"
+        "replace field mailbox.length [M-01] reply any preferably 7 into al.more\n"
+    )
+    protocol = compile_texts([BASE, text])
+    machine = protocol.machines["al"]
+    assert [variable.name for variable in machine.variables] == ["error", "code", "more"]
+    assert machine.inputs[-1] == Input("happens", "local", (), (("number", UInt(8)),))
+    assert machine.rules[-1].name == "counted"
+    assert [gap.name for gap in machine.gaps] == ["silence"]
+    field = protocol.frames["mailbox"].fields[0]
+    assert (field.reply, field.into) == (AnyValue(Literal(7)), "al.more")
+    assert protocol.frames["mailbox"].clauses == ("M-01", "BASE-01")
+    assert [type(change) for change in protocol.replaced] == [Extend, ReplaceField]
+
+
+# --- planted faults -------------------------------------------------------------------------------
+
+
+def faults(statements: str) -> SourceText:
+    return parse_text(f'faults wrong "x" {statements}', "wrong.ecs")
+
+
+@pytest.mark.parametrize(
+    ("statement", "code"),
+    [
+        ('fault one "x" [NO-01] quirk any_quirk', "ECS104"),
+        ('fault one "x" [BASE-01] remove rule al.to_init [NO-01]', "ECS104"),
+        ('fault one "x" [BASE-01] extend al rule more from INIT on request', "ECS105"),
+        ('fault one "x" [BASE-01] remove rule al.nothing [BASE-01]', "ECS401"),
+        ('fault one "x" [BASE-01] extend nothing', "ECS401"),
+        ('fault one "x" [BASE-01] replace field mailbox.no [BASE-01] reply 1', "ECS401"),
+        ('fault one "x" [BASE-01] replace rule al.to_init [BASE-01] goto INIT', "ECS402"),
+        ('fault one "x" [BASE-01]', "ECS402"),
+        ('fault one "x" [BASE-01] replace rule al.to_init [BASE-01] set code = true', "ECS202"),
+        ('fault one "x" [BASE-01] replace rule al.to_init [BASE-01] goto NOWHERE', "ECS106"),
+        ('fault one "x" [BASE-01] quirk a fault one "x" [BASE-01] quirk b', "ECS102"),
+    ],
+)
+def test_fault_is_refused(statement: str, code: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        compile_texts([BASE, faults(statement)])
+    assert set(codes(caught.value)) == {code}
+
+
+def test_a_fault_is_planted_and_leaves_the_protocol_alone() -> None:
+    text = faults('fault one "x" [BASE-01] quirk odd remove rule al.to_init [BASE-01]')
+    protocol = compile_texts([BASE, text])
+    (fault,) = text.declarations
+    assert isinstance(fault, Fault)
+    assert (fault.quirk, fault.clauses) == ("odd", ("BASE-01",))
+    faulty = plant(protocol, fault)
+    assert {rule.name for rule in protocol.machines["al"].rules} - {
+        rule.name for rule in faulty.machines["al"].rules
+    } == {"to_init"}
+
+
+def test_a_fault_that_does_not_fit_is_not_planted() -> None:
+    (fault,) = faults('fault one "x" [BASE-01] remove rule al.no [BASE-01]').declarations
+    assert isinstance(fault, Fault)
+    with pytest.raises(SpecError, match="ECS401"):
+        plant(compile_texts([BASE]), fault)
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in SHIPPED if path.parent.name == "faults"], ids=lambda path: path.name
+)
+def test_shipped_faults_are_without_findings(path: Path) -> None:
+    standard = load_standard()
+    text = parsed(path)
+    assert text.faults
+    found = [f for f in check_texts([text]) if f.code is not Code.ECS104]
+    assert found == []
+    for fault in text.declarations:
+        assert isinstance(fault, Fault)
+        assert set(fault.clauses) <= set(standard.clauses)
+        assert check_words(plant(standard, fault)) == []
 
 
 # --- names ---------------------------------------------------------------------------------------
@@ -447,6 +700,7 @@ def larger(inner: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expression
         | st.builds(Conditional, inner, inner, inner)
         | st.builds(Call, paths, st.lists(inner, max_size=3).map(tuple))
         | st.builds(OneOf, items, st.none() | inner)
+        | st.builds(AnyValue, inner)
     )
 
 
@@ -477,6 +731,9 @@ bindings = st.tuples(names, short)
 updates = many(st.builds(Update, paths, short))
 sends = many(st.builds(Send, names, many(bindings)))
 values = many(short, 1).map(lambda parts: parts[:2])
+gives = many(
+    st.builds(Give, paths, many(bindings)) | st.sampled_from([Give("deliver"), Give("resend")])
+)
 rule = st.builds(
     Rule,
     names,
@@ -486,14 +743,29 @@ rule = st.builds(
     st.none() | expressions,
     st.none() | names,
     updates,
-    many(st.builds(Store, short, short, short)),
+    many(st.builds(Store, short, short, short, st.booleans())),
     sends,
-    many(st.builds(Give, paths, many(bindings)) | st.just(Give("deliver"))),
+    gives,
     optional,
+    st.none() | st.builds(After, updates, gives),
 )
+gap = st.builds(Gap, names, some_ids, many(names, 1), names, optional)
 inputs = st.builds(
     Input, names, st.sampled_from(["write", "frame"]), many(names, 1), st.just(())
-) | st.builds(Input, names, st.just("event"), st.just(()), many(st.tuples(names, types)))
+) | st.builds(
+    Input,
+    names,
+    st.sampled_from(["event", "local"]),
+    st.just(()),
+    many(st.tuples(names, types)),
+)
+variables = many(st.builds(Variable, names, types, short))
+changes = (
+    st.builds(Replace, names, names, one_id, optional, st.none() | names, updates, sends, optional)
+    | st.builds(Remove, names, names, one_id)
+    | st.builds(Extend, names, variables, many(inputs), many(rule), many(gap))
+    | st.builds(ReplaceField, names, names, one_id, short, st.none() | paths)
+)
 ranges = st.none() | st.tuples(st.integers(-99, 99), st.integers(-99, 99))
 
 
@@ -504,7 +776,7 @@ def entries(draw: st.DrawFn) -> ObjectEntry:
         draw(numbers),
         draw(numbers),
         draw(names),
-        draw(plain_types | st.builds(Text, small)),
+        draw(plain_types | st.builds(Text, small) | st.builds(Bytes, short)),
         draw(st.sampled_from(Access)),
         constant=draw(st.booleans()),
         volatile=draw(st.booleans()),
@@ -555,7 +827,7 @@ declarations = st.one_of(
         names,
         st.none(),
         st.just(()),
-        many(st.builds(FrameField, names, types, optional, optional, st.none() | paths)),
+        many(st.builds(FrameField, names, types, optional, optional, optional, st.none() | paths)),
         some_ids,
     ),
     st.builds(Frame, names, names, many(bindings, 1), st.just(()), some_ids),
@@ -565,8 +837,8 @@ declarations = st.one_of(
     entries(),
     st.builds(Pin, names, names, one_id),
     st.builds(Close, names, many(short, 1), one_id),
-    st.builds(Replace, names, names, one_id, optional, st.none() | names, updates, sends, optional),
-    st.builds(Remove, names, names, one_id),
+    changes,
+    st.builds(Fault, names, words, one_id, st.none() | names, many(changes)),
     st.builds(Anomaly, ids, names, words, words, words, some_ids),
     st.builds(Example, names, st.binary(max_size=20), st.binary(max_size=20), one_id),
     st.builds(Dictionary, st.booleans(), one_id),
@@ -577,13 +849,15 @@ declarations = st.one_of(
         names,
         many(names, 1),
         names,
-        many(st.builds(Variable, names, types, short)),
+        variables,
         many(inputs),
         many(rule),
-        many(st.builds(Gap, names, some_ids, many(names, 1), names, optional)),
+        many(gap),
     ),
 )
-texts = st.builds(SourceText, names, words, st.none() | names, many(declarations))
+texts = st.builds(SourceText, names, words, st.none() | names, many(declarations)) | st.builds(
+    SourceText, names, words, st.none(), many(declarations), st.just(value=True)
+)
 
 
 @given(expressions)

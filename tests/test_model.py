@@ -3,30 +3,34 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ecatspec.generators.bringup import mailbox_settings, request, row, way_to
 from ecatspec.generators.case import WriteRegister, WriteRegisters
 from ecatspec.generators.stimulus import register_bytes, registers_bytes
 from ecatspec.model.compiled import Model
-from ecatspec.model.esc import Esc, field_of
+from ecatspec.model.esc import Channel, Esc, field_of
 from ecatspec.model.evaluate import Environment, compile_expression
+from ecatspec.model.functions import PLAIN
 from ecatspec.model.interpreter import step
 from ecatspec.model.state import Event
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
+from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, Literal, Name, SInt, Unary
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import width_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+    from random import Random
 
     from ecatspec.generators.case import Stimulus
+    from ecatspec.model.codec import Message
     from ecatspec.spec.language.ir import FrameField
 
 AKD = load_device("kollmorgen-akd")
@@ -42,13 +46,14 @@ EXPEDITED = 4
 # --- codec ----------------------------------------------------------------------------------------
 
 
-def drawn(field: FrameField, unused: int) -> st.SearchStrategy[Value]:
+def drawn(field: FrameField) -> st.SearchStrategy[Value]:
     match field.type:
-        case Bytes(length=None):
-            return st.binary(max_size=20)
-        case Bytes():
-            size = unused if field.name == "padding" else EXPEDITED - unused
+        case Bytes(length=Literal(value=size)):
             return st.binary(min_size=size, max_size=size)
+        case Bytes(length=Binary()):
+            return st.binary(min_size=1, max_size=EXPEDITED)
+        case Bytes():
+            return st.binary(max_size=20)
         case Bool():
             return st.booleans()
     width = width_of(AKD, field.type)
@@ -59,19 +64,21 @@ def drawn(field: FrameField, unused: int) -> st.SearchStrategy[Value]:
 
 
 def filled(data: st.DataObject, frame: str) -> dict[str, Value]:
-    """Values for every free field of the frame and of all around it, bodies and counts left out."""
+    """Values for every free field of the frame and of all around it.
+
+    Bodies, counts and what the encoder fills are left out; padding goes with the value.
+    """
     trail = CODEC.trail(frame)
     fixed = CODEC.fixed(frame)
-    unused = data.draw(st.integers(0, 3), "unused")
     values: dict[str, Value] = {}
     for name in trail:
-        for field in AKD.frames[name].fields:
-            body = field.name in {"payload", "body"} and name != frame
-            if body or field.name in fixed or CODEC.is_derived(frame, field.name):
+        fields = AKD.frames[name].fields
+        for field in fields:
+            body = field is fields[-1] and name != frame
+            left = body or field.filled is not None or CODEC.is_derived(frame, field.name)
+            if left or field.name in fixed or field.name == "padding":
                 continue
-            values[field.name] = data.draw(drawn(field, unused), field.name)
-    if "value" in values and frame.endswith("expedited"):
-        values["unused"] = unused
+            values[field.name] = data.draw(drawn(field), field.name)
     return values
 
 
@@ -88,6 +95,7 @@ def test_every_frame_survives_the_round_trip(frame: str, data: st.DataObject) ->
         assume(message.frame == frame)
     assert message.frame == frame
     assert {name: message.fields[name] for name in values} == values
+    assert CODEC.encode(frame, message.fields) == encoded
     for name, value in CODEC.fixed(frame).items():
         assert message.fields[name] == value
 
@@ -123,6 +131,153 @@ def test_decoding_a_message_with_any_content_never_raises(content: bytes) -> Non
 def test_a_message_that_is_cut_is_no_message(data: st.DataObject, cut: int) -> None:
     encoded = CODEC.encode("sdo_abort", filled(data, "sdo_abort"))
     assert CODEC.decode(encoded[: max(0, len(encoded) - cut)], "mailbox") is None
+
+
+@given(kind=st.integers(0, 15), service=st.integers(0, 15), content=st.binary(max_size=30))
+def test_what_was_decoded_encodes_to_the_same_bytes(
+    kind: int, service: int, content: bytes
+) -> None:
+    """Whatever the header of a service says of unused bytes and padding."""
+    in_coe = CODEC.encode("coe", {"type": kind, "service": service, "body": content})
+    for encoded in (in_coe, CODEC.encode("mailbox", {"type": kind, "payload": content})):
+        message = CODEC.decode(encoded, "mailbox")
+        assert message is not None
+        assert CODEC.encode(message.frame, message.fields) == encoded
+
+
+SEGMENTS = ("sdo_download_segment", "sdo_upload_segment_response")
+
+
+@pytest.mark.parametrize("frame", SEGMENTS)
+@pytest.mark.parametrize("size", range(21))
+def test_a_segment_is_filled_to_its_smallest_size(frame: str, size: int) -> None:
+    value = bytes(range(1, size + 1))
+    encoded = CODEC.encode(frame, {"value": value, "toggle": 1})
+    assert len(encoded) == 6 + 2 + 1 + max(size, 7)
+    message = CODEC.decode(encoded, "mailbox")
+    assert message is not None
+    assert message.frame == frame
+    assert message.fields["value"] == value
+    assert message.fields["unused"] == max(0, 7 - size)
+    assert message.fields["padding"] == bytes(max(0, 7 - size))
+
+
+@pytest.mark.parametrize("frame", ["sdo_download_expedited", "sdo_upload_expedited"])
+@pytest.mark.parametrize("size", range(1, 5))
+def test_an_expedited_message_counts_its_unused_bytes(frame: str, size: int) -> None:
+    encoded = CODEC.encode(frame, {"value": bytes([7] * size)})
+    assert len(encoded) == 6 + 10
+    message = CODEC.decode(encoded, "mailbox")
+    assert message is not None
+    assert (message.fields["unused"], message.fields["size_indicated"]) == (4 - size, True)
+    assert message.fields["value"] == bytes([7] * size)
+
+
+def test_what_is_given_is_not_filled() -> None:
+    given_value = CODEC.encode("sdo_download_normal", {"value": b"abc", "size": 9})
+    message = CODEC.decode(given_value, "mailbox")
+    assert message is not None
+    assert message.fields["size"] == 9
+    unsized = CODEC.encode("sdo_download_expedited", {"value": bytes(4), "size_indicated": 0})
+    message = CODEC.decode(unsized, "mailbox")
+    assert message is not None
+    assert (message.fields["size_indicated"], message.fields["unused"]) == (False, 0)
+
+
+# --- byte strings that are known in part ----------------------------------------------------------
+
+
+def call(name: str, *arguments: Value) -> Value:
+    return PLAIN[name](Environment((), {}, {}), arguments)
+
+
+def known(content: bytes) -> Pattern:
+    return Pattern(lengths=(len(content), len(content)), content=content)
+
+
+@given(
+    content=st.binary(max_size=12),
+    offset=st.integers(0, 14),
+    least=st.integers(0, 14),
+    most=st.integers(0, 14),
+    seen=st.binary(max_size=14),
+)
+def test_a_piece_of_what_is_known_admits_exactly_its_slices(
+    content: bytes, offset: int, least: int, most: int, seen: bytes
+) -> None:
+    piece = call("piece", content, offset, least, most)
+    assert isinstance(piece, Pattern)
+    top = min(most, len(content[offset:]))
+    slices = {content[offset : offset + n] for n in range(min(least, top), top + 1)}
+    assert all(piece.admits(part) for part in slices)
+    assert piece.admits(seen) == (seen in slices)
+    assert piece.longest() == content[offset : offset + top]
+    assert piece == call("piece", known(content), offset, least, most)
+
+
+@given(content=st.binary(min_size=1, max_size=6), data=st.data())
+def test_a_mask_leaves_bytes_open(content: bytes, data: st.DataObject) -> None:
+    certain = data.draw(
+        st.lists(st.booleans(), min_size=len(content), max_size=len(content)), "certain"
+    )
+    mask = bytes(255 if sure else 0 for sure in certain)
+    size = (len(content), len(content))
+    pattern = Pattern(lengths=size, content=content, mask=mask)
+    seen = data.draw(st.binary(min_size=len(content), max_size=len(content)), "seen")
+    same = all(a == b for a, b, sure in zip(seen, content, certain, strict=True) if sure)
+    assert pattern.admits(seen) == same
+    assert pattern.admits(content)
+    assert not pattern.admits(content + b"\0")
+    tail = pattern.piece(1, 0, len(content))
+    assert tail.admits(content[1:])
+    if len(content) > 1 and certain[-1]:
+        assert not tail.admits(content[1:-1] + bytes([content[-1] ^ 1]))
+
+
+@given(first=st.binary(max_size=6), second=st.binary(max_size=6), seen=st.binary(max_size=12))
+def test_join_with_what_is_known_in_part(first: bytes, second: bytes, seen: bytes) -> None:
+    assert call("join", first, second) == first + second
+    joined = call("join", first, known(second))
+    assert isinstance(joined, Pattern)
+    assert joined.admits(seen) == (seen == first + second)
+    open_end = call("join", first, Pattern(lengths=(0, 5)))
+    assert isinstance(open_end, Pattern)
+    fits = seen.startswith(first) and len(seen) <= len(first) + 5
+    assert open_end.admits(seen) == fits
+    assert call("join", UNKNOWN, second) == UNKNOWN
+    assert call("join", first, UNKNOWN) == UNKNOWN
+
+
+def test_functions_of_known_and_unknown_values() -> None:
+    assert call("cut", b"abcdef", 2) == b"ab"
+    assert call("cut", UNKNOWN, 2) == call("cut", b"ab", UNKNOWN) == UNKNOWN
+    assert call("lesser", 3, 5) == call("lesser", 5, 3) == 3
+    assert call("lesser", 3, UNKNOWN) == UNKNOWN
+    assert call("zeros", 3) == bytes(3)
+    assert call("zeros", -1) == b""
+    assert call("zeros", UNKNOWN) == UNKNOWN
+    assert call("word", 0x1234) == b"\x34\x12"
+    assert call("word", UNKNOWN) == UNKNOWN
+    assert call("length", b"abc") == 3
+    assert call("length", UNKNOWN) == UNKNOWN
+    assert call("piece", UNKNOWN, 0, 1, 5) == Pattern(lengths=(1, 5))
+    unsure = call("piece", b"abc", UNKNOWN, 0, 2)
+    assert isinstance(unsure, Pattern)
+    assert unsure.admits(b"whatever it is")
+
+
+def test_what_a_device_takes_where_it_is_free() -> None:
+    assert Pattern(preferred=7).first() == 7
+    assert Pattern(preferred=7).admits(3)
+    assert Pattern(lengths=(2, 5)).longest() == bytes(2)
+    assert Pattern(lengths=(2, 5), content=b"a").longest() == b"a\0"
+    assert Pattern(lengths=(0, 3), content=b"abcdef").longest() == b"abc"
+    assert Pattern(lengths=(0, 3)).longest() == b""
+    assert [concrete(v) for v in (5, b"a", Pattern(((3, 4),)), known(b"ab"))] == [5, b"a", 3, b"ab"]
+    assert is_any(UNKNOWN)
+    assert is_any(Pattern(preferred=1))
+    assert not is_any(Pattern(lengths=(0, 1)))
+    assert not Pattern(lengths=(0, 9)).admits(5)
 
 
 # --- values ---------------------------------------------------------------------------------------
@@ -161,6 +316,89 @@ def test_an_unknown_value_admits_everything_and_a_pattern_no_text() -> None:
     assert not Pattern(((0, 9),)).admits(b"\0")
     assert not Pattern(((0, 9),)).admits("stay")
     assert UNKNOWN.first() == 0
+
+
+# --- complete access ------------------------------------------------------------------------------
+
+REFERENCE = load_device("reference")
+
+
+def complete(name: str, *arguments: Value, watched: Model | None = None) -> Value:
+    device = VirtualSubDevice(REFERENCE)
+    model, state = device.model, device.state
+    if watched is not None:
+        model = watched
+    slots = list(model.initial.slots)
+    slots[model.slots["al.state"]] = row(model, "al_state", "PREOP")
+    objects = state.known() if watched is None else {}
+    return model.dictionary.functions[name](Environment(tuple(slots), objects, {}), arguments)
+
+
+def watcher(*, closed: bool = True) -> Model:
+    model = Model(replace(REFERENCE, dictionary=replace(REFERENCE.dictionary, closed=closed)))
+    assert model.dictionary.closed == closed
+    return model
+
+
+def test_subindex_0_takes_two_bytes_and_texts_all_of_theirs() -> None:
+    entries = b"\1" + b"\2\2" + b"\3\0\0\0" + b"\4\4" + b"five\0\0\0\0"
+    assert complete("complete_value", 0x2010, 1) == entries
+    assert complete("complete_value", 0x2010, 0) == b"\5\0" + entries
+    assert complete("complete_size", 0x2010, 1) == len(entries)
+    assert complete("complete_size", 0x2010, 0) == len(entries) + 2
+
+
+def test_who_watches_knows_the_layout_and_not_the_values() -> None:
+    value = complete("complete_value", 0x2010, 0, watched=watcher())
+    assert isinstance(value, Pattern)
+    assert value.admits(b"\5\0" + bytes(range(17)))
+    assert not value.admits(b"\4\0" + bytes(range(17)))  # the number of entries is constant
+    assert not value.admits(b"\5\0" + bytes(range(16)))
+
+
+def test_a_gap_makes_the_layout_uncertain() -> None:
+    closed, opened = watcher(), watcher(closed=False)
+    assert complete("complete_known", 0x2010, watched=closed) is True
+    assert complete("complete_known", 0x2012, watched=closed) is False
+    assert complete("complete_known", 0x2010, watched=opened) is False
+    assert complete("complete_size", 0x2012, 0, watched=closed) == UNKNOWN
+    value = complete("complete_value", 0x2012, 0, watched=closed)
+    assert isinstance(value, Pattern)
+    assert value.admits(b"")
+    assert value.admits(bytes(14))
+
+
+def test_what_cannot_be_read_is_masked() -> None:
+    model = watcher()
+    slots = model.initial.slots
+    objects = {(0x2013, 0): b"\2", (0x2013, 1): b"\1\0", (0x2013, 2): b"\7\7"}
+    function = model.dictionary.functions["complete_value"]
+    value = function(Environment(slots, objects, {}), (0x2013, 0))
+    assert isinstance(value, Pattern)
+    assert value.admits(b"\2\0\1\0\0\0")
+    assert value.admits(b"\2\0\1\0\7\7")
+    assert not value.admits(b"\2\0\2\0\7\7")
+    assert complete("complete_readable", 0x2013, 0) is False
+    assert complete("complete_value", 0x2013, 0) == b"\2\0\1\0\0\0"
+
+
+def test_a_complete_download_skips_what_cannot_be_written() -> None:
+    device = VirtualSubDevice(REFERENCE)
+    slots = list(device.state.slots)
+    slots[device.model.slots["al.state"]] = row(device.model, "al_state", "PREOP")
+    data = b"\7\0" + b"\x11" + b"\x22\x22" + b"\x33" * 4 + b"\x44\x44" + b"ab\0\0\0\0\0\0"
+    environment = Environment(tuple(slots), {}, {})
+    split = dict(device.model.dictionary.split(environment, 0x2010, 0, data))
+    assert split == {
+        (0x2010, 1): b"\x11",
+        (0x2010, 2): b"\x22\x22",
+        (0x2010, 3): b"\x33" * 4,
+        (0x2010, 5): b"ab",
+    }
+    assert complete("complete_writable", 0x2010, 1) is False
+    assert complete("complete_writable", 0x2011, 1) is True
+    assert complete("complete_in_range", 0x2010, 0, data) is False
+    assert complete("complete_in_range", 0x2010, 0, bytes(19)) is True
 
 
 # --- three-valued logic ---------------------------------------------------------------------------
@@ -277,6 +515,182 @@ def test_the_virtual_drive_answers_as_its_manual_prints(example: object) -> None
     assert not any(reply[size:])
 
 
+class Client:
+    """A small SDO client over the two mailboxes of a virtual SubDevice."""
+
+    def __init__(self, out: int = 128, into: int = 128) -> None:
+        start = 0x1000
+        protocol = replace(
+            REFERENCE,
+            parameters=REFERENCE.parameters
+            | {
+                name: replace(REFERENCE.parameters[name], value=(Literal(place), Literal(size)))
+                for name, place, size in (
+                    ("mailbox_out", start, out),
+                    ("mailbox_in", start + out, into),
+                )
+            },
+        )
+        self.device = VirtualSubDevice(protocol)
+        self.model = self.device.model
+        self.out, self.into = (start, out), (start + out, into)
+        self.counter = 0
+        for stimulus in way_to(self.model, "PREOP"):
+            if isinstance(stimulus, WriteRegisters):
+                place, data = registers_bytes(self.model, stimulus)
+            else:
+                assert isinstance(stimulus, WriteRegister)
+                place, data = register_bytes(self.model, stimulus)
+            assert self.device.write(place, data) == 1
+
+    def send(self, frame: str, fields: dict[str, Value], *, again: bool = False) -> int:
+        self.counter = self.counter if again else self.counter % 7 + 1
+        encoded = self.model.codec.encode(frame, {"counter": self.counter, **fields})
+        return self.device.write(self.out[0], encoded.ljust(self.out[1], b"\0"))
+
+    def receive(self) -> Message | None:
+        counter, data = self.device.read(*self.into)
+        return self.model.decode(data) if counter else None
+
+    def ask(self, frame: str, **fields: Value) -> Message:
+        assert self.send(frame, fields) == 1
+        message = self.receive()
+        assert message is not None
+        return message
+
+    def download(self, index: int, value: bytes) -> str:
+        room = self.out[1] - 16
+        answer = self.ask(
+            "sdo_download_normal", index=index, subindex=0, size=len(value), value=value[:room]
+        )
+        place, toggle = room, 0
+        while place < len(value):
+            if answer.frame == "sdo_abort":
+                return answer.frame
+            part = value[place : place + self.out[1] - 9]
+            place += len(part)
+            last = place >= len(value)
+            answer = self.ask("sdo_download_segment", toggle=toggle, last=last, value=part)
+            assert answer.fields["toggle"] == bool(toggle)
+            toggle = 1 - toggle
+        return answer.frame
+
+    def upload(self, index: int) -> bytes:
+        answer = self.ask("sdo_upload_request", index=index, subindex=0)
+        value = answer.fields["value"]
+        assert isinstance(value, bytes)
+        size = answer.fields.get("size", len(value))
+        assert isinstance(size, int)
+        toggle = 0
+        while len(value) < size:
+            answer = self.ask("sdo_upload_segment", toggle=toggle)
+            part = answer.fields["value"]
+            assert isinstance(part, bytes)
+            assert part
+            value += part
+            assert answer.fields["last"] == (len(value) == size)
+            toggle = 1 - toggle
+        assert len(value) == size
+        return value
+
+    def repeat(self) -> None:
+        """Toggle the repeat bit; the device acknowledges at once."""
+        at = self.model.protocol.registers["sync_manager_1_activation"]
+        before = int.from_bytes(self.device.read(at.address, at.size)[1], "little")
+        assert self.device.write(at.address, bytes([before ^ 2])) == 1
+        control = self.device.esc.register("sync_manager_1_pdi_control")
+        asked = bool((before ^ 2) & 2)
+        shown = field_of(
+            self.model.protocol, "sync_manager_1_pdi_control", "repeat_acknowledge", control
+        )
+        assert shown == asked
+
+
+@settings(max_examples=12)
+@given(
+    out=st.integers(34, 1486),
+    into=st.integers(34, 1486),
+    size=st.one_of(st.integers(0, 3000), st.sampled_from([65535, 65536])),
+    seed=st.randoms(use_true_random=False),
+)
+def test_what_was_written_is_read_back_over_any_mailbox(
+    out: int, into: int, size: int, seed: Random
+) -> None:
+    out = out if size <= 3000 else max(out, 600)
+    into = into if size <= 3000 else max(into, 600)
+    client = Client(out, into)
+    value = seed.randbytes(size)
+    assert client.download(0x2031, value).startswith("sdo_download")
+    assert client.upload(0x2031) == value
+
+
+@pytest.mark.parametrize("size", [65537, 70000])
+def test_more_than_an_object_holds_is_refused(size: int) -> None:
+    client = Client(1486, 1486)
+    assert client.download(0x2031, bytes([5]) * size) == "sdo_abort"
+    assert client.upload(0x2031) == b""
+
+
+def test_a_message_is_repeated_before_what_is_unread() -> None:
+    client = Client()
+    client.repeat()
+    assert client.receive() is None  # nothing was read yet
+    first = client.ask("sdo_upload_request", index=0x2000, subindex=0)
+    client.repeat()
+    assert client.receive() == first  # with its own counter
+    client.repeat()
+    assert client.receive() == first
+    assert client.receive() is None
+    assert client.send("sdo_upload_request", {"index": 0x2001, "subindex": 0}) == 1
+    client.repeat()
+    again, second = client.receive(), client.receive()
+    assert again == first
+    assert second is not None
+    assert second.fields["index"] == 0x2001
+    assert client.receive() is None
+
+
+def test_an_emergency_waits_behind_a_reply_and_takes_the_next_counter() -> None:
+    client = Client()
+    assert client.send("sdo_upload_request", {"index": 0x2000, "subindex": 0}) == 1
+    fields: dict[str, Value] = {"error_code": 0x1000, "error_register": 1}
+    client.device.happen("emergency", "arises", fields | {"manufacturer": b"abcde"})
+    reply, emergency = client.receive(), client.receive()
+    assert reply is not None
+    assert emergency is not None
+    assert (reply.frame, emergency.frame) == ("sdo_upload_expedited", "emergency")
+    assert emergency.fields["manufacturer"] == b"abcde"
+    assert emergency.fields["counter"] != reply.fields["counter"]
+    assert client.receive() is None
+
+
+def test_a_request_waits_while_a_reply_is_unread() -> None:
+    client = Client()
+    assert client.send("sdo_upload_request", {"index": 0x2000, "subindex": 0}) == 1
+    assert client.send("sdo_upload_request", {"index": 0x2001, "subindex": 0}) == 1
+    assert client.send("sdo_upload_request", {"index": 0x2002, "subindex": 0}) == 0
+    replies = [client.receive(), client.receive(), client.receive()]
+    assert [r and r.fields["index"] for r in replies] == [0x2000, 0x2001, None]
+
+
+def test_a_duplicate_is_dropped() -> None:
+    client = Client()
+    first = client.ask("sdo_upload_request", index=0x2000, subindex=0)
+    assert client.send("sdo_upload_request", {"index": 0x2001, "subindex": 0}, again=True) == 1
+    assert client.receive() is None
+    assert client.ask("sdo_upload_request", index=0x2001, subindex=0) != first
+
+
+def test_a_new_initiate_request_ends_a_transfer() -> None:
+    client = Client()
+    begun: dict[str, Value] = {"index": 0x2031, "subindex": 0, "size": 500, "value": bytes(112)}
+    assert client.ask("sdo_download_normal", **begun).frame == "sdo_download_response"
+    assert client.ask("sdo_upload_request", index=0x2000, subindex=0).fields["value"] == b"\x11"
+    stray = client.ask("sdo_download_segment", toggle=0, last=1, value=bytes(7))
+    assert stray.frame == "sdo_abort"
+    assert client.upload(0x2031) == b""
+
+
 def test_a_reset_undoes_everything() -> None:
     device = VirtualSubDevice(AKD)
     fresh = device.read(0, 0x0A00)
@@ -304,7 +718,9 @@ def test_a_full_mailbox_refuses_a_write_until_the_device_reads() -> None:
     esc = esc_with_mailboxes()
     first, second = bytes([1]) * OUT[1], bytes([2]) * OUT[1]
     assert esc.main_write(OUT[0], first) == 1
-    assert esc.channel("sync_manager_0") == (*OUT, True)
+    assert esc.channel("sync_manager_0") == Channel(
+        "sync_manager_0", *OUT, main_writes=True, full=True
+    )
     assert esc.main_write(OUT[0], second) == 0
     assert esc.pdi_read(*OUT) == first
     assert esc.main_write(OUT[0], second) == 1
@@ -314,9 +730,13 @@ def test_a_full_mailbox_refuses_a_write_until_the_device_reads() -> None:
 def test_a_write_that_does_not_reach_the_end_does_not_fill() -> None:
     esc = esc_with_mailboxes()
     assert esc.main_write(OUT[0], b"\1") == 1
-    assert esc.channel("sync_manager_0") == (*OUT, False)
+    assert esc.channel("sync_manager_0") == Channel(
+        "sync_manager_0", *OUT, main_writes=True, full=False
+    )
     assert esc.main_write(OUT[0] + OUT[1] - 1, b"\1") == 1
-    assert esc.channel("sync_manager_0") == (*OUT, True)
+    assert esc.channel("sync_manager_0") == Channel(
+        "sync_manager_0", *OUT, main_writes=True, full=True
+    )
 
 
 def test_a_read_empties_the_mailbox_and_an_empty_one_has_nothing() -> None:

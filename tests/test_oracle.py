@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import random
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -10,19 +11,30 @@ import pytest
 from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.generators.bringup import WAY_UP, request, row, way_to
-from ecatspec.generators.case import Probe, SendFrame, WriteRegister
-from ecatspec.generators.sdo_cover import download, upload
+from ecatspec.generators.case import Probe, Repeat, SendFrame, SendSegments, WriteRegister
+from ecatspec.generators.transfers import download, upload
+from ecatspec.model import subdevice
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.oracle import Oracle
+from ecatspec.model.state import Event
 from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.values import Pattern, concrete
+from ecatspec.spec.language.ir import Bytes, Pin
 from ecatspec.spec.language.load import load_device
+from ecatspec.spec.language.scope import ConditionRef, frame_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ecatspec.generators.case import Stimulus
+    from ecatspec.model.codec import Message
+    from ecatspec.model.evaluate import Getter
     from ecatspec.model.oracle import Mismatch
+    from ecatspec.model.state import Output
+    from ecatspec.model.values import Value
+    from ecatspec.spec.language.ir import Choice, Condition, Protocol
+    from ecatspec.spec.language.scope import Ref, Scope
 
 AKD = load_device("kollmorgen-akd")
 STANDARD = load_device("standard")
@@ -189,7 +201,8 @@ def test_a_duplicate_that_is_answered() -> None:
     twin = SendFrame(ASK.frame, ASK.fields, same_counter=True)
     mismatch = fault(Faulty(Repeating(STANDARD)), (*PREOP, ASK, twin))
     assert "MBX-04" in mismatch.clauses
-    assert mismatch.observed == "mailbox full"
+    # a full mailbox alone may be an emergency: it is the message that gives the device away
+    assert mismatch.observed.startswith("sdo_upload_expedited")
 
 
 def test_no_reply_at_all() -> None:
@@ -325,7 +338,7 @@ class _Stuck(VirtualSubDevice):
 
     def write(self, address: int, data: bytes) -> int:
         mailbox = self.esc.channel(SYNC_MANAGERS[0])
-        if mailbox is not None and address == mailbox[0]:
+        if mailbox is not None and address == mailbox.start:
             if self.taken and self.left > 0:
                 return 0
             self.taken += 1
@@ -369,3 +382,467 @@ def test_a_wrong_power_on_value_cites_its_clause() -> None:
     with pytest.raises(Deviation) as found:
         session.begin(SHAPE)
     assert "AL-01" in found.value.mismatch.clauses
+
+
+# --- freedom: what the texts leave open is never blamed -------------------------------------------
+
+REFERENCE = load_device("reference")
+JUDGE = Model(REFERENCE)
+JUDGE.dictionary.close()
+OPEN = replace(REFERENCE, dictionary=replace(REFERENCE.dictionary, closed=False))
+SEGMENTS = SendSegments()
+
+
+def segment(toggle: int, value: bytes, *, last: bool = False) -> SendFrame:
+    fields: dict[str, Value] = {"toggle": toggle, "value": value, "last": int(last)}
+    return SendFrame("sdo_download_segment", fields)
+
+
+def segments(first: int, *values: bytes) -> tuple[Stimulus, ...]:
+    """Segments with toggle bits that alternate, the last one marked."""
+    return tuple(
+        segment((first + place) % 2, value, last=place == len(values) - 1)
+        for place, value in enumerate(values)
+    )
+
+
+def asked(toggle: int, **fields: Value) -> SendFrame:
+    return SendFrame("sdo_upload_segment", {"toggle": toggle, **fields})
+
+
+def normal(index: int, subindex: int, value: bytes, **fields: Value) -> SendFrame:
+    given = {"index": index, "subindex": subindex, "value": value, **fields}
+    return SendFrame("sdo_download_normal", given)
+
+
+def odd(stimulus: SendFrame, **fields: Value) -> SendFrame:
+    return replace(stimulus, fields={**stimulus.fields, **fields})
+
+
+def coe(service: int, body: bytes) -> SendFrame:
+    return SendFrame("coe", {"service": service, "body": body})
+
+
+def raw(kind: int, payload: bytes, **fields: Value) -> SendFrame:
+    return SendFrame("mailbox", {"type": kind, "payload": payload, **fields})
+
+
+def listed(kind: int, **fields: Value) -> SendFrame:
+    return SendFrame("information_list_request", {"list_type": kind, **fields})
+
+
+def described(index: int, **fields: Value) -> SendFrame:
+    return SendFrame("information_object_request", {"index": index, **fields})
+
+
+def entry(index: int, subindex: int, **fields: Value) -> SendFrame:
+    given = {"index": index, "subindex": subindex, "value_info": 0, **fields}
+    return SendFrame("information_entry_request", given)
+
+
+def information(opcode: int, content: bytes) -> SendFrame:
+    return SendFrame("sdo_information", {"opcode": opcode, "information": content})
+
+
+def kept(stimulus: SendFrame) -> SendFrame:
+    """The same request, its answer left in the mailbox."""
+    return replace(stimulus, unread=True)
+
+
+END = SendFrame("sdo_abort", {"index": 0x2023, "subindex": 0, "code": 0x08000000})
+BLOCK = normal(0x2023, 0, b"a" * 112, size=200)
+"""The first message of a transfer of 200 bytes; 88 are left."""
+TEXT = upload(0x2023, 0)
+BYTE = upload(0x2000, 0)
+
+STIMULI: dict[str, tuple[Stimulus, ...]] = {
+    "uploads": (
+        *(s for i in (0x1001, 0x1008, 0x2000, 0x2004, 0x2021) for s in (upload(i, 0), SEGMENTS)),
+        *(upload(0x2010, 1), upload(0x2010, 9), upload(0x3000, 0), upload(0x200A, 0)),
+        *(upload(0x2012, 2), upload(0x2020, 0), SEGMENTS, TEXT, SEGMENTS),
+        *(upload(0x2014, 3), SEGMENTS, upload(0x2030, 0)),
+        *(TEXT, asked(1), asked(0), asked(0), asked(1), asked(0)),
+        *(TEXT, segment(0, b"a"), asked(0), TEXT, asked(0), END, asked(1), BYTE, asked(0)),
+    ),
+    "downloads": (
+        *(download(0x2000, 0, b"\5"), BYTE, normal(0x2000, 0, b"\6"), BYTE),
+        *(odd(download(0x2000, 0, b"\7\0\0\0"), size_indicated=0, unused=0), BYTE),
+        *(download(0x2000, 0, b"\1\2"), download(0x2001, 0, b"\1"), download(0x1008, 0, b"a")),
+        *(download(0x2005, 0, b"\6"), download(0x2005, 0, b"\xf0"), download(0x2005, 0, b"\4")),
+        *(upload(0x2005, 0), normal(0x2004, 0, bytes(range(8))), upload(0x2004, 0), SEGMENTS),
+        *(download(0x3000, 0, b"a"), download(0x2010, 9, b"a"), download(0x2041, 0, b"\1\1")),
+        *(download(0x2020, 0, b"ab"), upload(0x2020, 0), SEGMENTS),
+        *(normal(0x2021, 0, b""), upload(0x2021, 0), SEGMENTS, normal(0x2000, 0, b"", size=1)),
+        *(segment(0, b"\1", last=True), normal(0x3000, 0, b"", size=1), *segments(0, b"a")),
+    ),
+    "segments": (
+        *(BLOCK, *segments(0, b"b" * 88), TEXT, SEGMENTS),
+        *(BLOCK, segment(1, b"b" * 88, last=True), *segments(0, b"b" * 88), TEXT, SEGMENTS),
+        *(BLOCK, *segments(0, b"b" * 80), TEXT, SEGMENTS),
+        *(BLOCK, segment(0, b"b" * 80), segment(1, b"c" * 80), TEXT, SEGMENTS),
+        *(BLOCK, *segments(0, b"b" * 88, b""), TEXT, SEGMENTS),
+        *(normal(0x2023, 0, b"a" * 20, size=200), *segments(0, b"b" * 100, b"c" * 80)),
+        *(normal(0x2023, 0, b"a" * 112, size=400), *segments(0, b"b" * 119, b"b" * 119, b"b" * 50)),
+        *(normal(0x2001, 0, b"", size=2), *segments(0, b"\1\2"), upload(0x2001, 0)),
+        *(normal(0x2001, 0, b"", size=3), *segments(0, b"\1\2\3"), upload(0x2001, 0)),
+        *(BLOCK, BYTE, segment(0, b"b" * 88), BLOCK, asked(0), segment(0, b"b" * 88), BYTE),
+        *(BLOCK, END, segment(0, b"b" * 88), BYTE),
+        *(normal(0x2014, 3, b"x" * 112, size=1000), *segments(0, *[b"y" * 119] * 7, b"z" * 55)),
+        *(upload(0x2014, 3), SEGMENTS),
+    ),
+    "complete": (
+        *(
+            stimulus
+            for index in (0x2010, 0x2011, 0x2012, 0x2013, 0x2015, 0x3000)
+            for subindex in (0, 1)
+            for stimulus in (upload(index, subindex, complete=True), SEGMENTS)
+        ),
+        *(upload(0x2010, 2, complete=True), upload(0x2000, 2, complete=True)),
+        *(upload(0x2009, 0, complete=True), SEGMENTS, upload(0x2014, 0, complete=True), SEGMENTS),
+        *(normal(0x2011, 1, bytes(range(16)), complete_access=1), upload(0x2011, 3)),
+        *(upload(0x2011, 1, complete=True), SEGMENTS),
+        normal(0x2011, 0, b"\x08\0" + bytes(range(16)), complete_access=1),
+        *(normal(0x2011, 1, bytes(14), complete_access=1), upload(0x2011, 1, complete=True)),
+        *(SEGMENTS, normal(0x2011, 1, bytes(20), complete_access=1), upload(0x2011, 8)),
+        *(download(0x2015, 1, b"\1\2", complete=True), upload(0x2015, 1)),
+        *(download(0x2015, 0, b"\1\0\3\4", complete=True), upload(0x2015, 1)),
+        *(
+            download(0x2000, 0, b"\3", complete=True),
+            BYTE,
+            download(0x2000, 2, b"\3", complete=True),
+        ),
+        *(download(0x3000, 0, b"\1", complete=True), download(0x3000, 2, b"\1", complete=True)),
+        normal(0x2010, 1, b"\1\2\0\3\0\0\0\4\0five\0\0\0\0", complete_access=1),
+        *(upload(0x2010, 5), SEGMENTS, upload(0x2010, 1, complete=True), SEGMENTS),
+        normal(0x2010, 1, b"\1\2\0\xff\xff\xff\xff\4\0five\0\0\0\0", complete_access=1),
+        *(upload(0x2010, 1, complete=True), SEGMENTS),
+        *(normal(0x2013, 1, b"\1\2\3\4", complete_access=1), upload(0x2013, 1)),
+        *(normal(0x2012, 0, b"\3\0" + bytes(8), complete_access=1), upload(0x2012, 1)),
+        normal(0x2014, 1, b"q" * 112, size=1640, complete_access=1),
+        *segments(0, *[b"y" * 119] * 12, b"z" * 100),
+        *(upload(0x2014, 1, complete=True), SEGMENTS, upload(0x2014, 1), SEGMENTS),
+        normal(0x2014, 1, b"q" * 112, size=1639, complete_access=1),
+        *segments(0, b"y" * 119, b"y" * 5),
+    ),
+    "information": (
+        *(listed(kind) for kind in (0, 1, 2, 5, 6, 77)),
+        *(described(index) for index in (0x1018, 0x2000, 0x2010, 0x2020, 0x3000, 5)),
+        *(entry(0x1018, 1), entry(0x2000, 0), entry(0x2009, 0), entry(0x200A, 0)),
+        *(entry(0x2010, 9), entry(0x3000, 0), entry(5, 0), entry(0x2041, 0), entry(0x2020, 0)),
+        *(listed(1, incomplete=1), listed(1, fragments_left=3)),
+        *(described(0x2000, fragments_left=3), described(0x3000, reserved_info=3)),
+        *(entry(0x2000, 0, incomplete=1), entry(5, 0, incomplete=1)),
+        *(information(opcode, b"\1\0\0") for opcode in (0, 1, 2, 3, 5, 7, 9)),
+        *(described(5), upload(0x2000, 0), listed(1)),
+    ),
+    "mailbox": (
+        *(raw(3, b""), raw(3, b"\0"), raw(3, b"\0\x20"), BYTE, raw(0, b""), raw(6, b"abc")),
+        *(raw(14, b""), raw(2, b"abcd"), BYTE, odd(BYTE, channel=5), odd(BYTE, reserved=1)),
+        *(odd(BYTE, address=7), odd(BYTE, number=5), odd(BYTE, reserved_coe=1)),
+        *(raw(3, b"\0\x20\x40", length=200), raw(6, b"\0\x20\x40", length=2000), BYTE),
+        *(coe(service, b"12345678") for service in (0, 1, 3, 9, 15, 4)),
+        *(coe(2, b""), coe(8, b""), coe(8, b"\1"), coe(2, b"\x40"), BYTE),
+        *(BYTE, Repeat(), upload(0x2001, 0), Repeat(), Repeat()),
+        *(replace(BYTE, same_counter=True), upload(0x2001, 0), kept(BYTE), Repeat()),
+        *(upload(0x2001, 0), kept(BYTE), upload(0x2003, 0), kept(BYTE), kept(upload(0x2001, 0))),
+        *(BYTE, kept(BYTE), odd(BYTE, channel=3), kept(listed(1)), BYTE, listed(1), Repeat()),
+        *(TEXT, Repeat(), SEGMENTS, Repeat(), Probe()),
+    ),
+    "malformed": (
+        *(coe(2, b"\x40\0\0\0"), asked(0), coe(2, b"\x40\0\0\0"), *segments(0, b"1234567")),
+        *(BYTE, coe(2, b"\x20\0\x20\0"), coe(2, b"\x80"), coe(2, b"\x81" + bytes(7))),
+        *(coe(2, b"\xa0" + bytes(7)), coe(2, b"\xe0"), coe(2, b"\xc0")),
+        *(
+            odd(BYTE, excess=b"12"),
+            asked(0),
+            odd(BYTE, reserved_bits=2),
+            odd(BYTE, reserved_data=2),
+        ),
+        *(segment(0, b"1"), odd(download(0x2000, 0, b"\3"), excess=b"12"), asked(0), BYTE),
+        *(normal(0x2001, 0, b"\1\2", size=1), segment(0, b"1"), upload(0x2001, 0)),
+        *(normal(0x2001, 0, b"\1\2", size_indicated=0), upload(0x2001, 0)),
+        *(asked(0, excess=b"1"), asked(0), BLOCK, odd(segment(0, b"abc"), unused=0, padding=b"")),
+        *(segment(0, b"123456789"), segment(1, b"123456789"), TEXT, SEGMENTS),
+        *(BLOCK, coe(2, b"\xa0" + bytes(7)), segment(0, b"123456789"), TEXT, SEGMENTS),
+        *(TEXT, coe(2, b"\xa0" + bytes(7)), asked(0), TEXT, asked(0, excess=b"1"), asked(0), BYTE),
+    ),
+}
+CONCERNED = {
+    "MBX": ("mailbox",),
+    "COE": ("mailbox",),
+    "SDO": ("uploads", "downloads", "segments", "complete", "malformed"),
+    "INF": ("information",),
+}
+"""Which stimuli try a freedom, by the text that its clauses stand in."""
+
+
+def of_the_mailbox(clauses: tuple[str, ...]) -> str | None:
+    text = clauses[0].partition("-")[0]
+    return text if text in CONCERNED else None
+
+
+WAYS_TO_GO = [
+    (choice, way.name)
+    for choice in REFERENCE.choices.values()
+    if of_the_mailbox(choice.clauses) and choice.name != "mailbox_support"
+    for way in choice.alternatives[1:]
+]
+"""All but the first ways, which a device goes that nothing is said of."""
+TRUTHS = [c for c in REFERENCE.conditions.values() if of_the_mailbox(c.clauses)]
+
+
+def blamed(device: VirtualSubDevice, judge: Model, *names: str) -> str:
+    """What a device is blamed for, with the last lines of the trace; empty if it is not."""
+    session = Session(Faulty(device), judge, Oracle(judge))
+    way = way_to(judge, "PREOP")
+    for name in names:
+        try:
+            session.begin({"emulation": "none"})
+            # repeats before anything was read, without and with a mailbox that works
+            for stimulus in (*way[:2], Repeat(), *way[2:], Repeat(), *STIMULI[name]):
+                session.apply(stimulus)
+        except Deviation as deviation:
+            last = "\n".join(f"{line.who} {line.what}" for line in session.trace[-6:])
+            return f"{name}: {deviation.mismatch.observed}\n{last}"
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("choice", "way"), WAYS_TO_GO, ids=[f"{choice.name}-{way}" for choice, way in WAYS_TO_GO]
+)
+def test_no_way_at_a_choice_is_blamed(choice: Choice, way: str) -> None:
+    pins = REFERENCE.pins | {choice.name: Pin(choice.name, way, ())}
+    device = VirtualSubDevice(replace(REFERENCE, pins=pins))
+    assert blamed(device, JUDGE, *CONCERNED[of_the_mailbox(choice.clauses) or ""]) == ""
+
+
+@pytest.mark.parametrize("condition", TRUTHS, ids=lambda condition: condition.name)
+def test_no_truth_of_a_condition_is_blamed(condition: Condition) -> None:
+    other = replace(condition, assumed=not condition.assumed)
+    conditions = REFERENCE.conditions | {condition.name: other}
+    device = VirtualSubDevice(replace(REFERENCE, conditions=conditions))
+    assert blamed(device, JUDGE, *CONCERNED[of_the_mailbox(condition.clauses) or ""]) == ""
+
+
+def test_the_first_ways_and_the_assumed_truths_are_not_blamed() -> None:
+    assert blamed(VirtualSubDevice(REFERENCE), JUDGE, *STIMULI) == ""
+
+
+def test_a_device_without_a_mailbox_is_not_blamed() -> None:
+    pins = REFERENCE.pins | {"mailbox_support": Pin("mailbox_support", "absent", ())}
+    assert blamed(VirtualSubDevice(replace(REFERENCE, pins=pins)), JUDGE, *STIMULI) == ""
+
+
+class Whims(Model):
+    """A model whose conditions hold or not at every event anew."""
+
+    dice: random.Random
+    truths: dict[str, bool]
+
+    def _getter(self, ref: Ref, scope: Scope) -> Getter:
+        if isinstance(ref, ConditionRef):
+            name = ref.name
+            return lambda _: self.truths.setdefault(name, self.dice.random() < 0.5)
+        return super()._getter(ref, scope)
+
+
+class Whimsical(VirtualSubDevice):
+    """A device that the texts allow and that nobody can foresee; `fired` are its rules."""
+
+    def __init__(self, protocol: Protocol, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.dice = random.Random(seed)
+        self.fired: set[str] = set()
+
+        def whims(protocol: Protocol, *, assuming: bool) -> Whims:
+            model = Whims.__new__(Whims)
+            model.dice, model.truths = self.dice, {}
+            model.__init__(protocol, assuming=assuming)  # type: ignore[misc]
+            return model
+
+        with monkeypatch.context() as patch:
+            patch.setattr(subdevice, "Model", whims)
+            super().__init__(self._drawn(protocol))
+        monkeypatch.setattr(subdevice, "concrete", self._any_of)
+
+    def _drawn(self, protocol: Protocol) -> Protocol:
+        ways = {
+            choice.name: Pin(choice.name, self.dice.choice(choice.alternatives).name, ())
+            for choice in protocol.choices.values()
+            if choice.name not in SHAPE
+        }
+        return replace(protocol, pins=ways)
+
+    def _any_of(self, value: Value, after: int = -1) -> Value:
+        taken = concrete(value, after)
+        if not isinstance(value, Pattern):
+            return taken
+        if value.lengths is not None:
+            assert isinstance(taken, bytes)
+            return taken[: self.dice.choice((len(taken), self.dice.randint(*self._few(value))))]
+        if value.ranges is None:
+            return self.dice.choice((taken, self.dice.randint(0, 1)))
+        drawn = self.dice.randint(*self.dice.choice(value.ranges))
+        return taken if drawn == value.excluded else drawn
+
+    def _few(self, value: Pattern) -> tuple[int, int]:
+        most = len(value.longest())
+        return min(most, (value.lengths or (0, 0))[0]), most
+
+    def _concrete(self, fields: dict[str, Value], frame: str) -> dict[str, Value]:
+        kinds = frame_fields(self.model.protocol, frame)
+        bodies = {n for n, v in fields.items() if isinstance(kinds[n], Bytes) and v == Pattern()}
+        given = fields | {name: self.dice.randbytes(self.dice.randint(1, 4)) for name in bodies}
+        return super()._concrete(given, frame)
+
+    def _run(self, event: Event, message: Message | None = None) -> None:
+        assert isinstance(self.model, Whims)
+        self.model.truths.clear()
+        super()._run(event, message)
+
+    def _send(self, outputs: tuple[Output, ...]) -> None:
+        self.fired |= {str(output.rule) for output in outputs}
+        super()._send(outputs)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_mixture_of_freedoms_is_blamed(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Choices drawn once, conditions and acceptable values at every event, half of them with
+    objects that no text declares.
+    """
+    known = bool(seed % 2)
+    device = Whimsical(REFERENCE, seed, monkeypatch)
+    device.model.dictionary.closed = known
+    judge = JUDGE if known else Model(OPEN)
+    assert blamed(device, judge, *STIMULI) == ""
+    assert len(device.fired) > 20
+
+
+def test_what_a_freedom_forbids_is_still_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The tests above can fail: one wrong bit in one answer is blamed."""
+    device = Whimsical(REFERENCE, 0, monkeypatch)
+    monkeypatch.setattr(device, "_concrete", lambda fields, _: wrong(fields))
+
+    def wrong(fields: dict[str, Value]) -> dict[str, Value]:
+        given = {name: device._any_of(value) for name, value in fields.items()}  # noqa: SLF001
+        index = given.get("index")
+        return given | ({"index": index ^ 1} if isinstance(index, int) else {})
+
+    assert "index 0x" in blamed(device, JUDGE, "uploads")
+
+
+# --- devices that take their time -----------------------------------------------------------------
+
+
+class Busy(VirtualSubDevice):
+    """A device that takes and answers requests when it likes to."""
+
+    take = 0.0
+    """Seconds until a request is taken from the mailbox."""
+    answer = 0.0
+    """Seconds from there until its answer is in the mailbox."""
+    eager = False
+    """It takes the next request although the answer before was not read."""
+    refuses = False
+    """It answers what comes too early at once: error 9, service in work."""
+    before = after = 0
+    """How many emergencies come before and after each answer."""
+    _clock = 0.0
+    _came: float | None = None
+    _due: tuple[float, ...] = ()
+
+    def reset(self) -> None:
+        self._clock, self._came, self._due = 0.0, None, ()
+        super().reset()
+
+    def advance(self, seconds: float) -> None:
+        self._clock += seconds
+        super().advance(seconds)
+
+    def _serve_mailbox(self) -> None:
+        inbox, outbox = (self.esc.channel(name) for name in SYNC_MANAGERS)
+        if inbox is None or outbox is None:
+            self._unread, self._came, self._due = None, None, ()
+            return
+        if len(self._due) > len(self._queue):  # the mailbox was started anew
+            self._due = self._due[len(self._due) - len(self._queue) :]
+        if inbox.full and self._came is None:
+            self._came = self._clock
+        crowded = outbox.full or bool(self._queue)
+        ready = self._came is not None and self._clock >= self._came + self.take
+        if inbox.full and ready and (self.eager or self.refuses or not crowded):
+            message = self.model.decode(self.esc.pdi_read(inbox.start, inbox.length))
+            self._came = None
+            if message is not None:
+                self._served_one(message, crowded=crowded)
+        if self._queue and not outbox.full and self._clock >= self._due[0]:
+            self._due = self._due[1:]
+            self._unread = self._queue.pop(0)
+            self.esc.pdi_write(outbox.start, self._unread.ljust(outbox.length, b"\0"))
+
+    def _served_one(self, message: Message, *, crowded: bool) -> None:
+        if crowded and self.refuses:
+            slot = self.model.slots["mailbox.last"]
+            counter = message.fields["counter"]
+            if counter != self.state.slots[slot] or not counter:
+                self.state = self.state.having(slot, counter)
+                detail = row(self.model, "mailbox_error_detail", "service_in_work")
+                fields = self._defaults("mailbox") | {"detail": detail}
+                self._queue.insert(0, self.model.codec.encode("mailbox_error", fields))
+                self._due = (self._clock, *self._due)
+            return
+        self._storm(self.before)
+        self._run(self.model.mail(message, crowded=crowded), message)
+        self._storm(self.after)
+        late = len(self._queue) - len(self._due)
+        self._due += (self._clock + self.answer,) * late
+
+    def _storm(self, count: int) -> None:
+        fields: dict[str, Value] = {
+            "error_code": row(self.model, "emergency_code", "generic_error"),
+            "error_register": 1,
+            "manufacturer": bytes(5),
+        }
+        for _ in range(count):
+            self._run(Event("emergency", "arises", fields))
+
+
+TIMING: dict[str, dict[str, float]] = {
+    "takes a request late": {"take": 0.09},
+    "answers late": {"answer": 1.9},
+    "takes and answers late": {"take": 0.05, "answer": 1.0},
+    "takes the next request early": {"eager": True},
+    "takes the next request early and answers late": {"eager": True, "answer": 1.5},
+    "refuses what comes too early": {"refuses": True},
+    "refuses what comes too early and answers late": {"refuses": True, "answer": 1.0},
+    "has an emergency before": {"before": 1},
+    "has an emergency after": {"after": 1},
+    "has emergencies around": {"before": 2, "after": 2, "eager": True},
+    "has emergencies and answers late": {"before": 1, "after": 1, "answer": 0.3},
+}
+SHORT = upload(0x2001, 0)
+CROWD: tuple[Stimulus, ...] = (
+    *(BYTE, SHORT, TEXT, SEGMENTS, download(0x2000, 0, b"\3"), BYTE),
+    *(kept(BYTE), SHORT, kept(BYTE), kept(SHORT), BYTE, kept(TEXT), SEGMENTS, BYTE),
+    *(kept(download(0x2000, 0, b"\4")), BYTE, kept(BYTE), replace(BYTE, same_counter=True)),
+    *(kept(upload(0x3000, 0)), kept(described(0x2000)), listed(1), kept(raw(6, b"abc")), BYTE),
+    *(kept(BYTE), request(VALUE["INIT"]), request(VALUE["PREOP"]), BYTE, Probe()),
+)
+
+
+@pytest.mark.parametrize("manner", TIMING)
+def test_no_order_of_a_busy_device_is_blamed(manner: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    device = Busy(REFERENCE)
+    for name, value in TIMING[manner].items():
+        monkeypatch.setattr(device, name, value)
+    monkeypatch.setitem(STIMULI, "crowd", CROWD)
+    assert blamed(device, JUDGE, "crowd") == ""
+
+
+@pytest.mark.parametrize(("take", "answer"), [(3.0, 0.0), (0.0, 3.0)])
+def test_a_busy_device_that_is_too_late_is_blamed(
+    take: float, answer: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = Busy(REFERENCE)
+    device.take, device.answer = take, answer
+    monkeypatch.setitem(STIMULI, "crowd", CROWD)
+    assert blamed(device, JUDGE, "crowd")

@@ -6,7 +6,8 @@ is decided here, and why, so that a finding is the package's own:
 - The request goes to `Network.notify`, the package's documented entry for a received frame, and
   the answers are what the package gives to `Network.send_message`, the method it documents to be
   overridden.  No method of the server is called or replaced.
-- A CAN frame has eight bytes, so the package gets the first eight of a request.
+- A CAN frame has eight bytes, so the package gets the first eight of a request.  What needs more
+  is declared: `limits` says how a download has to be cut, `without` what does not get through.
 - A node number is needed; it appears only in frame identifiers, which the mailbox does not have.
 - No exception is caught: it ends the process and is a crash.  On a real bus, the package's own
   listener logs such an exception and sends nothing, so the MainDevice would see silence.
@@ -18,6 +19,9 @@ is decided here, and why, so that a finding is the package's own:
   a value the package refuses the upload.
 - Access goes over unchanged.  Declared limits of value (min, max) do too, although the package
   never looks at them in a download.
+- The package has no word for the greatest length of a text or byte string, nor for a right that
+  depends on the AL state.  It leaves both to its application, which it asks by a write callback:
+  the callback here refuses with the codes of the texts.
 - The heartbeat that the package starts on a write to its heartbeat object has no bus to run on:
   it does nothing.
 - A reset makes a new node: the package keeps what was written in the node.
@@ -26,8 +30,9 @@ is decided here, and why, so that a finding is the package's own:
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Callable
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, Final, assert_never
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, assert_never
 
 import canopen
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
@@ -36,7 +41,8 @@ from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import refuse_options
 from ecatspec.conformance.adapters.model import VirtualAdapter
 from ecatspec.conformance.devices import load
-from ecatspec.model.dictionary import encode_value
+from ecatspec.model.dictionary import encode_value, size_of, size_varies
+from ecatspec.model.evaluate import Environment
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import (
     Access,
@@ -54,16 +60,26 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ecatspec.conformance.adapter import Adapter
+    from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
+
+Refusal: TypeAlias = Callable[["ObjectKey", bytes], str]
+"""Give the row of the abort codes with which an application refuses a value, or nothing."""
 
 _NODE: Final = 1
 _FRAME: Final = 8
 _NOTES: Final = (
-    "frames of eight bytes: no normal transfer and no segment of more than seven bytes",
-    "no complete access: the package does not know the bit",
+    "limits: a frame has eight bytes: a normal download begins with its size alone, and a segment"
+    " of it carries seven bytes",
+    "without complete_access: the package does not know the bit",
+    "without malformed: a request is cut at eight bytes, so what is malformed does not arrive",
+    "without oversized: what a request has beyond eight bytes does not arrive",
+    "without empty_download: on CAN a download of no bytes ends with an empty segment",
+    "without mailbox_restart: nobody tells the package that the mailbox ended",
     "an exception counts as a crash; on a bus the package's listener logs it and stays silent",
-    "the access states of the objects are not the package's and are not checked",
+    "greatest lengths and rights by AL state are refused by the adapter, in a write callback",
 )
+_WITHOUT: Final = ("complete_access", "malformed", "oversized", "empty_download", "mailbox_restart")
 
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:
@@ -77,17 +93,21 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
         virtual_time=True,
         closed_dictionary=True,
         notes=_NOTES,
+        limits={"initiate_data": 0, "segment_data": _FRAME - 1},
+        without=_WITHOUT,
     )
-    return VirtualAdapter(VirtualSubDevice(protocol, node.serve), description, node.renew)
+    return VirtualAdapter(node.device, description, node.renew)
 
 
 class SdoServer:
     """The package's local node on a bus that ends here: request in, answers out."""
 
-    def __init__(self, protocol: Protocol) -> None:
+    def __init__(self, protocol: Protocol, refusal: Refusal = lambda _key, _data: "") -> None:
+        self._protocol, self._refusal = protocol, refusal
         self._network = _Network()
         node: Any = canopen.LocalNode(_NODE, object_dictionary(protocol))
         node.associate_network(self._network)
+        node.add_write_callback(self._on_write)
         self._identifier: int = node.sdo.rx_cobid
 
     def __call__(self, request: bytes) -> list[bytes]:
@@ -95,6 +115,12 @@ class SdoServer:
         self._network.sent = []
         self._network.notify(self._identifier, bytearray(request[:_FRAME]), 0.0)
         return self._network.sent
+
+    def _on_write(self, *, od: ODVariable, data: bytes, **_: object) -> None:
+        name = self._refusal((od.index, od.subindex), data)
+        if name:
+            rows = self._protocol.tables["sdo_abort_code"].rows
+            raise canopen.SdoAbortedError(next(row.value for row in rows if row.name == name))
 
 
 class _Network(canopen.Network):
@@ -118,17 +144,29 @@ class _Heartbeat:
 
 
 class _Node:
-    """The server of this moment: a reset puts a new one in its place."""
+    """The server of this moment, and its application: a reset puts a new one in its place."""
 
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
+        self._most = {
+            (entry.index, entry.subindex): size_of(entry)
+            for entry in protocol.objects
+            if size_varies(entry)
+        }
+        self.device = VirtualSubDevice(protocol, self.serve)
         self.renew()
 
     def renew(self) -> None:
-        self._server = SdoServer(self._protocol)
+        self._server = SdoServer(self._protocol, self._refusal)
 
     def serve(self, request: bytes) -> list[bytes]:
         return self._server(request)
+
+    def _refusal(self, key: ObjectKey, data: bytes) -> str:
+        writable_now = self.device.model.dictionary.functions["writable_now"]
+        if not writable_now(Environment(self.device.state.slots, {}, {}), key):
+            return "present_device_state"
+        return "length_too_high" if len(data) > self._most.get(key, len(data)) else ""
 
 
 def object_dictionary(protocol: Protocol) -> ObjectDictionary:
@@ -184,7 +222,9 @@ def _type(entry: ObjectEntry) -> int:
             return datatypes.BOOLEAN
         case Text():
             return datatypes.VISIBLE_STRING
-        case Named() | Bytes() | Area() | Time():
+        case Bytes():
+            return datatypes.OCTET_STRING
+        case Named() | Area() | Time():
             message = f"object {entry.index:#06x}:{entry.subindex:02x} has no type of an object"
             raise AdapterError(message)
         case _:

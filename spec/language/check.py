@@ -60,6 +60,7 @@ from ecatspec.spec.language.parse import TIME_DIGITS
 from ecatspec.spec.language.scope import (
     COMPARISONS,
     FUNCTIONS,
+    REPLY,
     ChoiceRef,
     ConstantRef,
     DefinitionRef,
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from ecatspec.spec.language.ir import (
+        After,
         Declaration,
         Expression,
         Give,
@@ -100,13 +102,14 @@ _Statement: TypeAlias = (
     Pin | Close | SetParameter | Replace | Remove | Extend | ReplaceField | Dictionary
 )
 _BITS: Final = 8
+_REPLY: Final = f"{REPLY}."
 
 
 def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
     """What is wrong with the texts before they are put together: said twice, cited, not cited."""
     declarations = [declaration for text in texts for declaration in text.declarations]
     declared = {clause.id for clause in declarations if isinstance(clause, Clause)}
-    findings = [*_twice(texts), *_circles(declarations)]
+    findings = [*_twice(texts), *_circles(declarations), *_in_vain(texts)]
     for declaration in declarations:
         for name, clauses, at in _citations(declaration):
             if not clauses and name.startswith(("rule", "gap")):
@@ -133,14 +136,19 @@ def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
 
 def check_protocol(protocol: Protocol) -> list[Diagnostic]:
     """What is wrong with texts put together: the findings of the first phase that has any."""
+    if found := check_words(protocol):
+        return found
+    checker = _Checker(protocol)
+    checker.objects()
+    return [*checker.of_phase("4"), *meaning(protocol)]
+
+
+def check_words(protocol: Protocol) -> list[Diagnostic]:
+    """What is wrong with names and kinds of values; a planted fault may mean what it likes."""
     checker = _Checker(protocol)
     checker.structure()
     checker.expressions()
-    for phase in "12":
-        if found := checker.of_phase(phase):
-            return found
-    checker.objects()
-    return [*checker.of_phase("4"), *meaning(protocol)]
+    return checker.of_phase("1") or checker.of_phase("2")
 
 
 def _near(name: str, known: Iterable[str], before: str = "; did you mean ") -> str:
@@ -301,6 +309,34 @@ def _circles(declarations: Iterable[Declaration]) -> Iterator[Diagnostic]:
             )
 
 
+def _in_vain(texts: Sequence[SourceText]) -> Iterator[Diagnostic]:
+    """What changes the standard stands in a device text, a fault in a text of faults."""
+    for text in texts:
+        for declaration in text.declarations:
+            kind, name = _key(declaration)
+            if isinstance(declaration, Fault) and not (declaration.quirk or declaration.changes):
+                yield Diagnostic(
+                    Code.ECS402,
+                    declaration.at,
+                    f"fault {name} is none: it changes nothing",
+                    "add a change of a rule or of a field, or a quirk",
+                )
+            if isinstance(declaration, Fault):
+                misplaced, place = not text.faults, "a text that begins with `faults`"
+            else:
+                statement = isinstance(declaration, _Statement.__args__)
+                misplaced = statement and text.extends is None
+                misplaced = misplaced and not isinstance(declaration, Dictionary)
+                place = "a text that begins with `device`"
+            if misplaced:
+                yield Diagnostic(
+                    Code.ECS402,
+                    declaration.at,
+                    f"{kind} {name} has no effect in this text",
+                    f"write it in {place}",
+                )
+
+
 def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...], Span]]:
     """What cites clauses: its name, the clauses, its place."""
     match declaration:
@@ -318,6 +354,10 @@ def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...],
             yield f"register `{declaration.name}`", declaration.clauses, declaration.at
             for field in declaration.fields:
                 yield f"field `{field.name}`", field.clauses, field.at
+        case Fault():
+            yield f"fault {declaration.name}", declaration.clauses, declaration.at
+            for change in declaration.changes:
+                yield from _citations(change)
         case _:
             kind, name = _key(declaration)
             yield f"{kind} {name}", declaration.clauses, declaration.at
@@ -570,6 +610,15 @@ class _Checker:
             for given in (field.value, field.filled):
                 if given is not None:
                     self._demand(given, inside, field.type)
+            if field.filled is not None and (
+                field.value is not None or field.name in names_in(field.filled)
+            ):
+                self._note(
+                    Code.ECS204,
+                    field.at,
+                    f"`{field.name}` is never filled: it has a constant, or needs itself",
+                    "fill a field from others of its frame",
+                )
             if field.reply is not None:
                 self._demand(field.reply, inside, field.type)
             if field.into is not None:
@@ -605,29 +654,40 @@ class _Checker:
 
     def _rule(self, machine: Machine, rule: Rule) -> None:
         scope = self._guard(machine, rule)
-        self._updates(rule.updates, scope)
-        for again, times in Counter(update.variable for update in rule.updates).items():
-            if times > 1:
-                what = f"rule `{machine.name}.{rule.name}` sets `{again}` twice"
-                self._note(Code.ECS102, rule.at, what, "take one of them away")
+        owner = f"rule `{machine.name}.{rule.name}`"
+        self._updates(rule.updates, scope, owner)
         for store in rule.stores:
             self._demand(store.index, scope, UInt(16))
             self._demand(store.subindex, scope, UInt(8))
-            self._demand(store.value, scope, None)
+            self._demand(store.value, scope, Bytes(None))
         for send in rule.sends:
             self._send(send, scope)
         self._gives(rule.gives, scope)
         if rule.within is not None:
             self._demand(rule.within, scope, Time())
         if rule.after is not None:
-            sent = rule.sends[-1].frame if rule.sends else None
-            later = replace(scope, reply=sent)
-            self._updates(rule.after.updates, later)
-            self._gives(rule.after.gives, later)
+            self._after(rule, rule.after, scope, owner)
 
-    def _updates(self, updates: Iterable[Update], scope: Scope) -> None:
+    def _after(self, rule: Rule, after: After, scope: Scope, owner: str) -> None:
+        if not rule.sends:
+            what = f"{owner} sends no frame that anything could come after"
+            self._note(Code.ECS106, after.at, what, "send one, or set and give before `within`")
+            return
+        for give in after.gives:
+            if give.target in {"deliver", "resend"}:
+                what = f"`{give.target}` comes too late: the frame of {owner} is sent"
+                self._note(Code.ECS202, give.at, what, "write it before `within`")
+        later = replace(scope, reply=rule.sends[-1].frame)
+        self._updates(after.updates, later, owner)
+        self._gives(after.gives, later)
+
+    def _updates(self, updates: Sequence[Update], scope: Scope, owner: str) -> None:
         for update in updates:
             self._demand(update.value, scope, self._variable(update.variable, scope, update.at))
+        for again, times in Counter(update.variable for update in updates).items():
+            if times > 1:
+                what = f"{owner} sets `{again}` twice"
+                self._note(Code.ECS102, updates[0].at, what, "take one of them away")
 
     def _gives(self, gives: Iterable[Give], scope: Scope) -> None:
         for give in gives:
@@ -665,6 +725,20 @@ class _Checker:
             return
         types = frame_fields(self._protocol, send.frame)
         self._bindings(send.fields, types, replace(scope, reply=send.frame), send.frame, send.at)
+        needed = {
+            name: {path.removeprefix(_REPLY) for path in names_in(value) if path.startswith(_REPLY)}
+            for name, value in send.fields
+        }
+        for name, value in send.fields:
+            reached: set[str] = set()
+            waiting = [name]
+            while waiting:
+                fresh = needed.get(waiting.pop(), set()) - reached
+                reached |= fresh
+                waiting += fresh
+            if name in reached:
+                what = f"`{name}` of the reply leads back to itself"
+                self._note(Code.ECS101, value.at, what, "say it by other fields")
 
     def _bindings(
         self,
@@ -882,7 +956,7 @@ class _Checker:
             most = entry.type.maximum if isinstance(entry.type, Text) else entry.type.length
             if isinstance(most, Literal):
                 most = most.value
-            if not isinstance(most, int):
+            if not isinstance(most, int) or isinstance(most, bool):
                 return "the length of bytes is no number"
             if numbers:
                 return "a text has no number"

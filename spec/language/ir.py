@@ -344,7 +344,7 @@ class Input:
     """What a machine reacts to.
 
     kind "write": the MainDevice wrote one of the registers `origin`, parameters are its fields;
-    kind "frame": a frame whose innermost layout is one of `origin` was delivered;
+    kind "frame": a frame was delivered, and no layout inside `origin` has an input of its own;
     kind "event": another machine gives it, with `parameters`;
     kind "local": it happens inside the device, unseen by the MainDevice until a rule shows it.
     """

@@ -10,7 +10,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ecatspec.spec.language.check import check_protocol, check_texts
+from ecatspec.spec.language.check import check_protocol, check_texts, check_words
 from ecatspec.spec.language.diagnostics import SpecError
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.merge import merge_device, merge_standard, with_fault
@@ -64,7 +64,7 @@ def load_file(path: str | Path) -> Protocol:
     if text.extends is not None:
         return compile_texts((*shipped, text), text.name)
     names = [other.name for other in shipped]
-    if text.name not in names:
+    if text.faults or text.name not in names:
         return compile_texts((*shipped, text), STANDARD)
     return compile_texts([text if o.name == text.name else o for o in shipped], STANDARD)
 
@@ -93,6 +93,9 @@ def compile_texts(texts: Sequence[SourceText], name: str | None = None) -> Proto
     _raise(check_texts(chosen))
     protocol = _together(chosen, name)
     _raise(check_protocol(protocol))
+    for fault in (d for text in chosen for d in text.declarations if isinstance(d, Fault)):
+        faulty, findings = with_fault(protocol, fault)
+        _raise(findings or check_words(faulty))
     return protocol
 
 

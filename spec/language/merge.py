@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
 from ecatspec.spec.language.ir import (
@@ -20,6 +20,8 @@ from ecatspec.spec.language.ir import (
     Example,
     Extend,
     Frame,
+    Gap,
+    Input,
     Literal,
     Machine,
     Manual,
@@ -35,7 +37,9 @@ from ecatspec.spec.language.ir import (
     Remove,
     Replace,
     ReplaceField,
+    Rule,
     SetParameter,
+    Variable,
 )
 
 if TYPE_CHECKING:
@@ -45,7 +49,6 @@ if TYPE_CHECKING:
         Declaration,
         Expression,
         Fault,
-        Rule,
         SourceText,
         Span,
         Type,
@@ -53,6 +56,7 @@ if TYPE_CHECKING:
     )
 
 _STATEMENTS = (Pin, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
+_Named: TypeAlias = Variable | Input | Rule | Gap
 _CHANGES = (Replace, Remove, Extend, ReplaceField)
 
 
@@ -285,6 +289,7 @@ class _Merge:
     def _extend(self, statement: Extend) -> None:
         machine = self._machine(statement)
         if machine is not None:
+            self._added(machine, statement)
             self.machines[machine.name] = replace(
                 machine,
                 variables=machine.variables + statement.variables,
@@ -292,6 +297,24 @@ class _Merge:
                 rules=machine.rules + statement.rules,
                 gaps=machine.gaps + statement.gaps,
             )
+
+    def _added(self, machine: Machine, statement: Extend) -> None:
+        """What is added must have names of its own."""
+        old: tuple[_Named, ...] = (*machine.variables, *machine.inputs)
+        new: tuple[_Named, ...] = (*statement.variables, *statement.inputs)
+        self._again(machine, Code.ECS102, old, new)
+        old, new = (*machine.rules, *machine.gaps), (*statement.rules, *statement.gaps)
+        self._again(machine, Code.ECS103, old, new)
+
+    def _again(
+        self, machine: Machine, code: Code, old: tuple[_Named, ...], new: tuple[_Named, ...]
+    ) -> None:
+        places = {(_sort(item), item.name): item.at for item in old}
+        for item in new:
+            first = places.get((_sort(item), item.name))
+            if first is not None:
+                what = f"{_sort(item)} `{machine.name}.{item.name}` stands already at {first}"
+                self._find(code, item.at, what, "give it another name")
 
     def _replace_field(self, statement: ReplaceField) -> None:
         frame = self.frames.get(statement.frame)
@@ -528,6 +551,17 @@ class _Narrow:
             return tuple(Literal(value, digits, item.at) for value in inside)
         number = self._constant(item)
         return () if number is not None and number not in self._kept else (item,)
+
+
+def _sort(item: _Named) -> str:
+    """Variables and inputs have names of their own; a rule and a gap share theirs."""
+    match item:
+        case Variable():
+            return "variable"
+        case Input():
+            return "input"
+        case _:
+            return "rule"
 
 
 def _constant(value: Expression, names: Mapping[str, int], table: str) -> int | None:

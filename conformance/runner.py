@@ -76,6 +76,9 @@ class Runner:
                     if states != {case.needs}:
                         return self._inconclusive(case, states)
                 self.session.apply(stimulus)
+                if broken := self.session.oracle.broken():
+                    reason = f"the texts break their own property {', '.join(broken)}"
+                    return Verdict(case.name, Outcome.ERROR, case.title, reason)
         except Deviation as deviation:
             return self._failure(case, deviation.mismatch)
         except (DeviceCrash, DeviceHang, DeviceRubbish) as death:

@@ -102,6 +102,7 @@ class View:
     name: str
     low: int
     width: int
+    truth: bool
     expression: Expression
     value: Getter
     condition: Getter | None
@@ -144,6 +145,10 @@ class Model:
         """What may happen inside the device at any time."""
         self.fetched = Event(MAILBOX, "fetched", {})
         """The MainDevice has read a message."""
+        self._properties = [
+            (law.name, self.expression(law.value, Scope(), Bool()))
+            for law in protocol.properties.values()
+        ]
         self.views = {r.name: self._views(r) for r in protocol.registers.values()}
         self.replies = {name: self._reply_fields(name) for name in protocol.frames}
 
@@ -229,6 +234,11 @@ class Model:
             value = self.protocol.definitions[name].value
             self._definitions[name] = self.expression(value, Scope(), None)
         return self._definitions[name]
+
+    def broken(self, state: State) -> tuple[str, ...]:
+        """Give the properties of the texts that do not hold in a state."""
+        environment = Environment(state.slots, {}, {})
+        return tuple(name for name, law in self._properties if law(environment) is False)
 
     def parameter(self, name: str, part: str | None = None) -> int:
         """Give the value of a parameter (of an area: `start` or `length`; of a time: us)."""
@@ -412,6 +422,7 @@ class Model:
                     field.name,
                     field.low,
                     field.high - field.low + 1,
+                    isinstance(field.type, Bool),
                     field.shows.value,
                     self.expression(field.shows.value, Scope(), field.type),
                     None if condition is None else self.expression(condition, Scope(), None),

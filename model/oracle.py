@@ -228,6 +228,11 @@ class Oracle:
         values = {candidate.state.slots[slot] for candidate in self.candidates}
         return values.pop() if len(values) == 1 else None
 
+    def broken(self) -> tuple[str, ...]:
+        """Give the properties of the texts that some explanation breaks: the texts are wrong."""
+        found = (self.model.broken(candidate.state) for candidate in self.candidates)
+        return tuple(dict.fromkeys(name for names in found for name in names))
+
     def al_states(self) -> frozenset[str]:
         """Give the AL states that the device may be in now (settled or not)."""
         names = self.model.state_names("al")
@@ -416,7 +421,9 @@ class Oracle:
                 for seen in self._seen(register, state.having(slot, alternative.name), raw)
             ]
         for view, value in shown:
-            observed = raw >> view.low & ((1 << view.width) - 1)
+            observed: int = raw >> view.low & ((1 << view.width) - 1)
+            if view.truth:
+                observed = bool(observed)
             if not admits(value, observed):
                 return []
             if isinstance(value, Pattern):

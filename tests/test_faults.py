@@ -16,11 +16,12 @@ from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.case import NO_LIMITS, Case
 from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import Quirk
-from ecatspec.spec.language import check
+from ecatspec.spec.language.check import check_words
 from ecatspec.spec.language.ir import Fault, Remove, Replace
 from ecatspec.spec.language.load import load_device, load_faults, plant
 
 DEVICE = "reference"
+DEPTH = "quick"
 FAULTS = load_faults()
 SMALL = "40"
 """The mailbox for SDO information, so that a list takes several messages."""
@@ -51,7 +52,7 @@ class Suite:
             f"{machine.name}.{rule.name}"
             for machine in self.model.protocol.machines.values()
             for rule in machine.rules
-            if set(rule.clauses) & set(fault.clauses)
+            if fault.clauses[0] in rule.clauses
         }
         often = Counter(rule for _, fired in self.cases for rule in fired)
 
@@ -75,7 +76,7 @@ def suite(mailbox: str) -> Suite:
     model = Model(load(DEVICE, mailbox))
     made = Suite(model, {"mailbox": mailbox} if mailbox else {})
     runner = made.runner({})
-    for case in all_cases(model, NO_LIMITS):
+    for case in all_cases(model, NO_LIMITS, DEPTH):
         if mailbox and case.layer != "sdo_information":
             continue
         runner.rules = set()
@@ -107,11 +108,9 @@ def test_every_quirk_is_planted() -> None:
     assert {fault.quirk for fault in FAULTS.values()} == {None, *(quirk.value for quirk in Quirk)}
 
 
-def test_a_faulty_text_names_what_exists(monkeypatch: pytest.MonkeyPatch) -> None:
-    # overlaps and gaps are what a fault is made of, and take long to look for
-    monkeypatch.setattr(check, "meaning", lambda _: [])
+def test_a_faulty_text_names_what_exists() -> None:
     for fault in FAULTS.values():
-        findings = check.check_protocol(plant(load_device(DEVICE), fault))
+        findings = check_words(plant(load_device(DEVICE), fault))
         assert not findings, (fault.name, findings)
 
 

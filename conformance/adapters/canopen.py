@@ -69,8 +69,7 @@ Refusal: TypeAlias = Callable[["ObjectKey", bytes], str]
 _NODE: Final = 1
 _FRAME: Final = 8
 _NOTES: Final = (
-    "limits: a frame has eight bytes: a normal download begins with its size alone, and a segment"
-    " of it carries seven bytes",
+    "limits: a normal download begins with its size alone, and a segment carries seven bytes",
     "without complete_access: the package does not know the bit",
     "without malformed: a request is cut at eight bytes, so what is malformed does not arrive",
     "without oversized: what a request has beyond eight bytes does not arrive",

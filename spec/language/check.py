@@ -40,6 +40,7 @@ from ecatspec.spec.language.ir import (
     OneOf,
     Parameter,
     Pin,
+    Property,
     Range,
     Register,
     Remove,
@@ -242,6 +243,7 @@ def _key(declaration: Declaration) -> tuple[str, str]:
             | Choice()
             | Condition()
             | Definition()
+            | Property()
             | Example()
             | Fault()
         ):
@@ -587,6 +589,8 @@ class _Checker:
                     self._demand(field.shows.value, nowhere, field.type)
                     if field.shows.condition is not None:
                         self._demand(field.shows.condition, nowhere, Bool())
+        for law in self._protocol.properties.values():
+            self._demand(law.value, nowhere, Bool())
         for frame in self._protocol.frames.values():
             self._frame_expressions(frame)
         for machine in self._protocol.machines.values():

@@ -398,6 +398,17 @@ class Definition:
 
 
 @dataclass(frozen=True, slots=True)
+class Property:
+    """What holds in every state that the texts allow."""
+
+    name: str
+    wording: str
+    value: Expression
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Update:
     """`set variable = value`."""
 
@@ -655,6 +666,7 @@ Declaration: TypeAlias = (
     | Choice
     | Condition
     | Definition
+    | Property
     | ObjectEntry
     | Pin
     | Close
@@ -705,6 +717,7 @@ class Protocol:
     choices: dict[str, Choice]
     conditions: dict[str, Condition]
     definitions: dict[str, Definition]
+    properties: dict[str, Property]
     pins: dict[str, Pin]
     closed: dict[str, Close]
     objects: tuple[ObjectEntry, ...]

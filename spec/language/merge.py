@@ -31,6 +31,7 @@ from ecatspec.spec.language.ir import (
     OneOf,
     Parameter,
     Pin,
+    Property,
     Protocol,
     Range,
     Register,
@@ -78,6 +79,7 @@ def merge_standard(texts: Sequence[SourceText]) -> Protocol:
         choices=_named(_of(declared, Choice)),
         conditions=_named(_of(declared, Condition)),
         definitions=_named(_of(declared, Definition)),
+        properties=_named(_of(declared, Property)),
         pins={},
         closed={},
         objects=_of(declared, ObjectEntry),
@@ -115,6 +117,7 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         choices=merge.choices,
         conditions=standard.conditions | own.conditions,
         definitions=standard.definitions | own.definitions,
+        properties=standard.properties | own.properties,
         pins=merge.pins,
         closed=merge.closed,
         objects=_objects(standard.objects, own.objects),
@@ -147,7 +150,18 @@ def _of(declared: Iterable[Declaration], kind: type[_T]) -> tuple[_T, ...]:
     return tuple(declaration for declaration in declared if isinstance(declaration, kind))
 
 
-_N = TypeVar("_N", CodeTable, Parameter, Register, Frame, Machine, Choice, Condition, Definition)
+_N = TypeVar(
+    "_N",
+    CodeTable,
+    Parameter,
+    Register,
+    Frame,
+    Machine,
+    Choice,
+    Condition,
+    Definition,
+    Property,
+)
 
 
 def _named(declared: Iterable[_N]) -> dict[str, _N]:

@@ -53,6 +53,7 @@ from ecatspec.spec.language.ir import (
     OneOf,
     Parameter,
     Pin,
+    Property,
     Range,
     Register,
     RegisterField,
@@ -122,6 +123,7 @@ _DECLARATIONS: Final = frozenset(
         "OBJECTS",
         "PARAMETER",
         "PIN",
+        "PROPERTY",
         "REGISTER",
         "REMOVE",
         "REPLACE",
@@ -534,6 +536,11 @@ class _Builder:
         name, wording, value = children.word(), children.string(), self._expression(children.tree())
         return Definition(name, wording, value, self._ids(children.given("id_list")), at)
 
+    def _property(self, tree: Tree[Token]) -> Property:
+        children, at = self._open(tree)
+        name, wording, value = children.word(), children.string(), self._expression(children.tree())
+        return Property(name, wording, value, self._ids(children.given("id_list")), at)
+
     def _pin(self, tree: Tree[Token]) -> Pin:
         children, at = self._open(tree)
         name, alternative = children.word(), children.word()
@@ -769,6 +776,7 @@ class _Builder:
         "manual": _manual,
         "parameter": _parameter,
         "pin": _pin,
+        "property": _property,
         "register": _register,
         **_changes,
         "set_parameter": _set_parameter,

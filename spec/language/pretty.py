@@ -41,6 +41,7 @@ from ecatspec.spec.language.ir import (
     OneOf,
     Parameter,
     Pin,
+    Property,
     Range,
     Register,
     Remove,
@@ -330,6 +331,13 @@ def _block(member: Declaration) -> list[str]:
         case Definition(name, wording, value, clauses):
             lines = _broken("    ", "    ", value)
             return [f'define {name} "{wording}" =', *lines[:-1], f"{lines[-1]}  {_ids(clauses)}"]
+        case Property(name, wording, value, clauses):
+            lines = _broken("    ", "    ", value)
+            return [
+                f'property {name} "{wording}" always',
+                *lines[:-1],
+                f"{lines[-1]}  {_ids(clauses)}",
+            ]
         case Replace() | Extend() | ReplaceField():
             return _change(member)
         case Fault(name, wording, clauses, quirk, changes):

@@ -240,11 +240,17 @@ def check(*, files: tuple[str, ...], as_json: bool) -> int:
 @click.argument("machine", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Give the tables as JSON.")
 def show(*, device: str, machine: str | None, as_json: bool) -> int:
-    """Show DEVICE (a name or a path to a .ecs file) as tables, or the rules of one MACHINE."""
-    from ecatspec.conformance.devices import load, machine_sheets, sheets
+    """Show DEVICE (a name or a path to a .ecs file) as tables, or the rules of one MACHINE.
+
+    `ecatspec show DEVICE faults` lists the faults that can be planted into its virtual SubDevice.
+    """
+    from ecatspec.conformance.devices import fault_sheet, load, machine_sheets, sheets
 
     protocol = load(device)
-    tables = sheets(protocol) if machine is None else machine_sheets(protocol, machine)
+    if machine == "faults":
+        tables: tuple[Sheet, ...] = (fault_sheet(),)
+    else:
+        tables = sheets(protocol) if machine is None else machine_sheets(protocol, machine)
     if as_json:
         data: dict[str, object] = {
             "device": protocol.name,

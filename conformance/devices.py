@@ -23,7 +23,7 @@ from ecatspec.spec.language.ir import (
     Time,
     Unary,
 )
-from ecatspec.spec.language.load import UnknownDevice, load_device, load_file
+from ecatspec.spec.language.load import UnknownDevice, load_device, load_faults, load_file
 from ecatspec.spec.language.pretty import pretty_expression, pretty_type
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import (
         CodeTable,
         Expression,
+        Give,
         Machine,
         ObjectEntry,
         Parameter,
@@ -148,6 +149,7 @@ def sheets(protocol: Protocol) -> tuple[Sheet, ...]:
         _machines(protocol),
         _choices(protocol),
         _conditions(protocol),
+        _properties(protocol),
         *tables,
         _objects(protocol),
         _changes(protocol),
@@ -219,16 +221,25 @@ def _rule(rule: Rule) -> tuple[Cell, ...]:
     effects = [f"{update.variable} = {pretty_expression(update.value)}" for update in rule.updates]
     for store in rule.stores:
         place = f"{pretty_expression(store.index)} : {pretty_expression(store.subindex)}"
-        effects.append(f"store {place} = {pretty_expression(store.value)}")
+        word = "store complete" if store.complete else "store"
+        effects.append(f"{word} {place} = {pretty_expression(store.value)}")
     effects += [f"send {send.frame}({_bindings(send.fields)})" for send in rule.sends]
-    for give in rule.gives:
-        arguments = f"({_bindings(give.arguments)})" if give.arguments else ""
-        effects.append(f"give {give.target}{arguments}")
+    effects += [_gift(give) for give in rule.gives]
     if rule.within is not None:
         effects.append(f"within {pretty_expression(rule.within)}")
+    if rule.after is not None:
+        effects += [f"then {u.variable} = {pretty_expression(u.value)}" for u in rule.after.updates]
+        effects += [f"then {_gift(give)}" for give in rule.after.gives]
     target = rule.target or "(stays)"
     guard = _guard(rule.guard)
     return rule.name, rule.sources, rule.input, guard, target, tuple(effects), rule.clauses
+
+
+def _gift(give: Give) -> str:
+    if give.target in {"deliver", "resend"}:
+        return give.target
+    arguments = f"({_bindings(give.arguments)})" if give.arguments else ""
+    return f"give {give.target}{arguments}"
 
 
 def _names(expression: Expression | Range, protocol: Protocol) -> Iterator[str]:
@@ -362,6 +373,22 @@ def _conditions(protocol: Protocol) -> Sheet:
     )
     title = "conditions that only the device knows"
     return Sheet("conditions", title, ("condition", "meaning", "assumed", "clauses"), rows)
+
+
+def _properties(protocol: Protocol) -> Sheet:
+    rows = tuple(
+        (law.name, law.wording, pretty_expression(law.value), law.clauses)
+        for law in protocol.properties.values()
+    )
+    title = "what holds in every state that the texts allow"
+    return Sheet("properties", title, ("property", "meaning", "always", "clauses"), rows)
+
+
+def fault_sheet() -> Sheet:
+    """Give the planted faults: what `--dut model:fault=NAME` does wrong, and where that breaks."""
+    rows = tuple((f.name, f.wording, f.clauses) for f in load_faults().values())
+    title = "planted faults: ecatspec run DEVICE --dut model:fault=NAME"
+    return Sheet("faults", title, ("fault", "what the device does wrong", "clauses"), rows)
 
 
 def _codes(table: CodeTable) -> Sheet:

@@ -529,11 +529,7 @@ def test_newer_declaration_is_refused(declaration: str, code: str) -> None:
         ("replace field mailbox.length [M-01] reply true", "ECS202"),
         ("replace field mailbox.length [M-01] reply 70000", "ECS201"),
         ("replace field mailbox.length [M-01] reply 7 into al.nothing", "ECS101"),
-        (
-            "replace field mailbox.length [M-01] reply 7"
-            + " replace field mailbox.length [M-01] reply 8",
-            "ECS102",
-        ),
+        ("replace field mailbox.length [M-01] reply 7 " * 2, "ECS102"),
         ('fault wrong "x" [M-01] remove rule al.to_init [M-01]', "ECS402"),
     ],
 )

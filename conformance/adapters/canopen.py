@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, assert_never
 
 import canopen
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
+from canopen.sdo.constants import REQUEST_BLOCK_UPLOAD
 
 from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import refuse_options
@@ -68,17 +69,30 @@ Refusal: TypeAlias = Callable[["ObjectKey", bytes], str]
 
 _NODE: Final = 1
 _FRAME: Final = 8
+_COMMAND: Final = 5
+"""The command specifier is above so many bits of the first byte."""
+_BLOCK: Final = f"unknown_command_{REQUEST_BLOCK_UPLOAD >> _COMMAND}"
 _NOTES: Final = (
     "limits: a normal download begins with its size alone, and a segment carries seven bytes",
     "without complete_access: the package does not know the bit",
-    "without malformed: a request is cut at eight bytes, so what is malformed does not arrive",
-    "without oversized: what a request has beyond eight bytes does not arrive",
+    "without data_in_initiate: the first message of a normal download has no room for data",
     "without empty_download: on CAN a download of no bytes ends with an empty segment",
     "without mailbox_restart: nobody tells the package that the mailbox ended",
+    "without malformed: a request is cut at eight bytes, so what is malformed does not arrive",
+    "without oversized: what a request has beyond eight bytes does not arrive",
+    f"without {_BLOCK}: a block upload on CAN, which a server may answer by a normal one",
     "an exception counts as a crash; on a bus the package's listener logs it and stays silent",
     "greatest lengths and rights by AL state are refused by the adapter, in a write callback",
 )
-_WITHOUT: Final = ("complete_access", "malformed", "oversized", "empty_download", "mailbox_restart")
+_WITHOUT: Final = (
+    "complete_access",
+    "data_in_initiate",
+    "empty_download",
+    "mailbox_restart",
+    "malformed",
+    "oversized",
+    _BLOCK,
+)
 
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:

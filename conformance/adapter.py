@@ -8,13 +8,14 @@ fault it was: `AdapterError` is the user's set-up or a call outside the contract
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-LIMITS: Final = ("initiate_data", "segment_data")
-"""What a description may say of the way to a device, in bytes of one message."""
+LIMITS: Final[Mapping[str, int]] = MappingProxyType({"initiate_data": 0, "segment_data": 1})
+"""What a description may limit on the way to a device, and the fewest bytes that get through."""
 ADDRESS_SPACE: Final = 1 << 16
 """The contract's own bound: an address is an unsigned number of sixteen bits."""
 
@@ -151,9 +152,11 @@ def _texts(data: Mapping[str, object], field: str) -> tuple[str, ...]:
 def _numbers(data: Mapping[str, object], field: str) -> dict[str, int]:
     value = data.get(field, {})
     numbers: dict[str, int] = {}
-    for name, number in (value if isinstance(value, dict) else {"": value}).items():
-        if name not in LIMITS or not isinstance(number, int) or number < 0:
-            message = f"field {field!r} of a description may hold {', '.join(LIMITS)}, in bytes"
+    for name, number in (value if isinstance(value, dict) else {field: value}).items():
+        if name not in LIMITS or type(number) is not int or number < LIMITS[name]:
+            may = " and ".join(f"{known} from {least}" for known, least in LIMITS.items())
+            message = f"field {field!r} of a description has {name!r}: {number!r}; "
+            message += f"it may have {may}, in bytes"
             raise ValueError(message)
         numbers[name] = number
     return numbers

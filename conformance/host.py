@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import FACTORIES
+from ecatspec.conformance.devices import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -45,6 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
         serve = _server(name, text)
     except AdapterError as error:
         serve = _refusal(str(error))
+    except UserError as error:
+        serve = _refusal(f"cannot set up {name!r}: {error}")
     except Exception as error:  # noqa: BLE001  nothing of the device has run yet: set-up trouble
         traceback.print_exc()
         serve = _refusal(f"cannot set up {name!r}: {type(error).__name__}: {error}")

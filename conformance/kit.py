@@ -104,8 +104,18 @@ def _check_describe(
     description: object = adapter.describe()
     if not isinstance(description, Description):
         yield f"describe gives {description!r}"
-    elif Description.from_json(description.to_json()) != description:
-        yield "the description does not survive JSON"
+        return
+    try:
+        survives = Description.from_json(description.to_json()) == description
+    except ValueError as error:
+        yield str(error)
+    else:
+        if not survives:
+            yield "the description does not survive JSON"
+    bounds = ("limits",) if description.limits else ()
+    for name in (*bounds, *description.without):
+        if not any(name in note for note in description.notes):
+            yield f"no note of the description says why there is {name!r}"
 
 
 def _check_refusals(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import count
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.verdict import TraceLine
@@ -115,11 +116,13 @@ class Session:
             wait *= _SLOWER
 
     def _send_segments(self) -> None:
-        toggle = False
-        while self.oracle.may_be("sdo", "UPLOADING") and not self.oracle.may_be("sdo", "IDLE"):
-            self._send(upload_segment(toggle=toggle))
+        # each segment brings a byte at least, so an upload ends after as many as it has bytes
+        for number in count():
+            over = not self.oracle.may_be("sdo", "UPLOADING") or self.oracle.may_be("sdo", "IDLE")
+            if over or number > self.oracle.most("sdo.size"):
+                return
+            self._send(upload_segment(toggle=number % 2 == 1))
             self._settle()
-            toggle = not toggle
 
     def _repeat(self) -> None:
         register = self.model.protocol.registers[f"{MAIN_IN}_activation"]

@@ -16,10 +16,10 @@ from ecatspec.generators.bringup import AREAS
 from ecatspec.generators.case import SendFrame
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.spec.language.ir import Bool, Bytes, Named
-from ecatspec.spec.language.scope import width_of
+from ecatspec.spec.language.scope import names_in, width_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
@@ -30,6 +30,8 @@ _RESERVED = ("reserved", "flags")
 """Fields whose names begin so are 0 in a valid request."""
 _PADDING = "padding"
 """Bytes whose names begin so are there, and say nothing."""
+_EXCESS = "excess"
+"""Bytes of this name take what is too much at the end: a valid message has none."""
 _COUNTER, _CHANNEL = "counter", "channel"
 _SIZE, _UNUSED, _SIZE_INDICATED = "size", "unused", "size_indicated"
 _BYTE = 8
@@ -156,7 +158,8 @@ def request_frames(model: Model) -> tuple[str, ...]:
     """Give the frames that a MainDevice sends, in the order of the machines.
 
     These are the origins of inputs. A frame that catches what is left over (`coe`, `sdo_request`)
-    is none of them: it has no valid message of its own, only the malformed ones of others.
+    is none of them: it has no valid message of its own, only the malformed ones of others. Nor is
+    one that takes the area as it is (`mailbox_beyond`), without a length that tells its end.
     """
     origins = [
         frame
@@ -166,7 +169,7 @@ def request_frames(model: Model) -> tuple[str, ...]:
         for frame in item.origin
     ]
     proper = _proper_frames(model)
-    return tuple(frame for frame in dict.fromkeys(origins) if frame in proper)
+    return tuple(f for f in dict.fromkeys(origins) if f in proper and _has_length(model, f))
 
 
 def family_of(model: Model, frame: str, base: Mapping[str, Value]) -> Iterator[Variant]:
@@ -184,7 +187,7 @@ def family_of(model: Model, frame: str, base: Mapping[str, Value]) -> Iterator[V
         ValueError: `base` is no valid message of the frame, or too long for the mailbox.
 
     """
-    return iter(_Maker(model, frame, base).variants())
+    return _without_twins(model, _Maker(model, frame, base).variants())
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +227,8 @@ class _Maker:
     def __init__(self, model: Model, frame: str, base: Mapping[str, Value]) -> None:
         self._model = model
         self._codec = model.codec
+        if not _has_length(model, frame):
+            raise ValueError(f"`{frame}` lies in no frame with a length")
         self._frame = frame
         self._base = dict(base)
         self._proper = _proper_frames(model)
@@ -241,10 +246,7 @@ class _Maker:
         self._message = message
         self._places = self._placed()
         self._own = {place.name: place for place in self._places if place.frame == frame}
-        counts = [p for p in self._places if p.frame == self._root and self._counts(p)]
-        if not counts:
-            raise ValueError(f"`{frame}` lies in no frame with a length")
-        self._count = counts[0]
+        self._count = next(p for p in self._places if p.frame == self._root and self._counts(p))
 
     def variants(self) -> Iterator[Variant]:
         yield Variant("valid", Family.VALID, "", SendFrame(self._frame, self._base))
@@ -343,7 +345,7 @@ class _Maker:
     def _bodies(self, place: _Place) -> Iterator[Variant]:
         if place.name.startswith(_PADDING) and place.width:
             yield from self._patched(place, "all_ones", "padding_set", place.greatest)
-        if place.field.type != Bytes(None):
+        if not self._open(place.field):
             return
         start = place.start // _BYTE
         content = self._data[start : start + place.width // _BYTE]
@@ -355,12 +357,11 @@ class _Maker:
             if length != place.width // _BYTE:
                 changes: dict[str, Value] = {place.name: filled}
                 changes |= {_SIZE: length} if _SIZE in self._own else {}
-                yield from self._rebuilt(
-                    f"{place.label}_{lengths[length]}", "body_edge", place, changes
-                )
+                name = f"{place.label}_{lengths[length]}"
+                yield from self._rebuilt(name, "body_edge", changes)
         if _SIZE in self._own:
             changes = {place.name: (content * room)[:room], _SIZE: room + 1}
-            yield from self._rebuilt(f"{place.label}_goes_on", "segmented_start", place, changes)
+            yield from self._rebuilt(f"{place.label}_goes_on", "segmented_start", changes)
 
     # --- from bytes to a variant ------------------------------------------------------------------
 
@@ -374,18 +375,12 @@ class _Maker:
         otherwise = "count_too_small" if value < now else "count_too_large"
         yield from self._made(f"{place.label}_{word}", flag, data, {place.name: value}, otherwise)
 
-    def _rebuilt(
-        self, name: str, flag: str, place: _Place, changes: dict[str, Value]
-    ) -> Iterator[Variant]:
-        """Change the bytes at the end, the size that tells of them, and the length around them."""
-        data = self._data[: place.start // _BYTE]
-        for other in self._own.values():
-            value = changes.get(other.name)
-            if isinstance(value, int):
-                data = other.written(data, value)
-        content = changes[place.name]
-        data += content if isinstance(content, bytes) else b""
-        data = self._count.written(data, len(data) - self._header)
+    def _rebuilt(self, name: str, flag: str, changes: dict[str, Value]) -> Iterator[Variant]:
+        """Change the bytes at the end, and with them all that the encoder makes of them."""
+        made = {place.name for place in self._own.values() if place.field.filled is not None}
+        made |= {self._count.name}
+        kept = {field: value for field, value in self._base.items() if field not in made}
+        data = self._codec.encode(self._frame, kept | changes)
         yield from self._made(name, flag, data, changes)
 
     def _made(
@@ -426,7 +421,13 @@ class _Maker:
         size, unused = fields.get(_SIZE), fields.get(_UNUSED)
         told = fields.get(_SIZE_INDICATED)
         body = message.fields[self._model.protocol.frames[self._root].fields[-1].name]
-        full = isinstance(body, bytes) and self._header + len(body) == self._area
+        whole = self._header + (len(body) if isinstance(body, bytes) else 0)
+        full = whole == self._area
+        if fields.get(_EXCESS):
+            return "length_padded"
+        said = {item.name: fields[item.name] for item in layout if self._open(item)}
+        if len(self._codec.encode(self._frame, said)) > whole:
+            return "length_cut"
         if isinstance(size, int) and present is not None:
             if told is False:
                 return "size_not_indicated"
@@ -464,6 +465,14 @@ class _Maker:
         return SendFrame(self._root, raw | {body: data[self._header :]})
 
     # --- where the fields are ---------------------------------------------------------------------
+
+    def _open(self, field: FrameField) -> bool:
+        """Tell whether a field has as many bytes of content as the length of the message allows."""
+        if not isinstance(field.type, Bytes) or field.name == _EXCESS or field.filled is not None:
+            return False
+        length = field.type.length
+        own = {item.name for item in self._model.protocol.frames[self._frame].fields}
+        return length is None or bool(set(names_in(length)) - own)
 
     def _placed(self) -> tuple[_Place, ...]:
         """Give the fields of the message from the first bit on, without the bodies of others."""
@@ -512,6 +521,25 @@ def _proper_frames(model: Model) -> frozenset[str]:
         return inside and codec.fixed(one).items() < codec.fixed(other).items()
 
     return frozenset(one for one in frames if not any(catches(one, other) for other in frames))
+
+
+def _without_twins(model: Model, variants: Iterable[Variant]) -> Iterator[Variant]:
+    """Leave out what has the bytes of an earlier one; a counter of 0 is not one left open."""
+    seen: set[tuple[bytes, bool]] = set()
+    for variant in variants:
+        stimulus = variant.stimulus
+        data = model.codec.encode(stimulus.frame, stimulus.fields)
+        key = data, _COUNTER in stimulus.fields
+        if key not in seen:
+            seen.add(key)
+            yield variant
+
+
+def _has_length(model: Model, frame: str) -> bool:
+    """Tell whether the outermost layout around a frame counts its bytes."""
+    root = model.codec.trail(frame)[0]
+    fields = model.protocol.frames[root].fields
+    return any(model.codec.is_derived(root, field.name) for field in fields)
 
 
 def _edges(place: _Place) -> dict[str, int]:

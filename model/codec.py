@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.evaluate import Environment, Getter, Lookup, compile_expression
 from ecatspec.model.functions import PLAIN
-from ecatspec.model.values import UNKNOWN, Value
+from ecatspec.model.values import UNKNOWN, Pattern, Value
 from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Name, SInt
 from ecatspec.spec.language.scope import (
     ConstantRef,
@@ -187,9 +187,14 @@ class Codec:
         parts = self._parts[frame]
         if body is not None:
             values = {**values, parts[-1].name: body}
+        # a byte field of which nothing is said is left out, so that it gets its own length
+        said = {p.name for p in parts if p.width is not None or _is_bytes(values.get(p.name))}
+        values = {n: v for n, v in values.items() if n in said or all(p.name != n for p in parts)}
         for part in parts:
             if part.filled is not None and part.name not in values:
-                values = {**values, part.name: part.filled(Environment((), {}, values))}
+                filled = part.filled(Environment((), {}, values))
+                if not isinstance(filled, Pattern):
+                    values = {**values, part.name: filled}
         for part in parts:
             content = values.get(part.name, b"")
             if part.counts is not None and part.counts not in values and isinstance(content, bytes):
@@ -264,3 +269,7 @@ class Codec:
         parts = self._parts[frame]
         constants = sum(part.constant is not None for part in parts) + len(self._conditions[frame])
         return constants, -len(parts)
+
+
+def _is_bytes(value: Value | None) -> bool:
+    return isinstance(value, bytes)

@@ -228,6 +228,11 @@ class Oracle:
         values = {candidate.state.slots[slot] for candidate in self.candidates}
         return values.pop() if len(values) == 1 else None
 
+    def most(self, slot: str) -> int:
+        """Give the greatest number that a variable may hold, 0 where it is not known."""
+        values = (candidate.state.slots[self.model.slots[slot]] for candidate in self.candidates)
+        return max((value for value in values if isinstance(value, int)), default=0)
+
     def broken(self) -> tuple[str, ...]:
         """Give the properties of the texts that some explanation breaks: the texts are wrong."""
         found = (self.model.broken(candidate.state) for candidate in self.candidates)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import shlex
 import sys
 import textwrap
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
 
@@ -21,14 +23,22 @@ from ecatspec.conformance.adapter import (
     check_span,
 )
 from ecatspec.conformance.adapters import ADAPTERS, FACTORIES, open_adapter, parse_options
+from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.devices import load
 from ecatspec.conformance.kit import check_adapter
 from ecatspec.conformance.process import ProcessAdapter
+from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.verdict import Outcome
+from ecatspec.generators.bringup import way_to
+from ecatspec.generators.case import Case, Probe
+from ecatspec.model.compiled import Model
 from ecatspec.spec.language.ir import Access, ObjectEntry, SInt, Text, UInt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from ecatspec.conformance.adapter import Adapter
     from ecatspec.spec.language.ir import Protocol
 
 DESCRIPTION = Description("a", frozenset({"sdo", "al"}), virtual_time=True, closed_dictionary=False)
@@ -109,7 +119,7 @@ def test_a_command_that_does_not_come_up_is_a_matter_of_set_up() -> None:
 
 
 def test_an_unknown_device_is_a_matter_of_set_up() -> None:
-    with pytest.raises(AdapterError, match="cannot set up 'model'"):
+    with pytest.raises(AdapterError, match=r"^cannot set up 'model': no device text is"):
         open_adapter("model", "no-such-device")
 
 
@@ -153,6 +163,82 @@ def test_a_description_survives_json_and_wrong_ones_are_refused() -> None:
             Description.from_json({**data, field: wrong})
 
 
+def test_the_limits_of_a_description_survive_json() -> None:
+    limited = replace(
+        DESCRIPTION, limits={"initiate_data": 0, "segment_data": 7}, without=("malformed",)
+    )
+    data = json.loads(json.dumps(limited.to_json()))
+    assert data["limits"] == {"initiate_data": 0, "segment_data": 7}
+    assert Description.from_json(data) == limited
+    assert Description.from_json(data) != DESCRIPTION
+    for field in ("limits", "without", "notes"):
+        del data[field]
+    assert Description.from_json(data) == DESCRIPTION
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"segment": 7},
+        {"segment_data": 0},
+        {"initiate_data": -1},
+        {"initiate_data": "7"},
+        {"initiate_data": 7.0},
+        {"initiate_data": True},
+        {"initiate_data": None},
+        7,
+        [],
+    ],
+)
+def test_wrong_limits_are_refused_in_one_line(wrong: object) -> None:
+    with pytest.raises(ValueError, match=r"^field 'limits' of a description has .*; it may have"):
+        Description.from_json({**DESCRIPTION.to_json(), "limits": wrong})
+
+
+def test_wrong_limits_of_a_program_are_rubbish() -> None:
+    data = {**DESCRIPTION.to_json(), "limits": {"segment_data": -7}}
+    code = f"print({json.dumps({'ok': True, 'description': data})!r})"
+    command = shlex.join([sys.executable, "-c", f"input(); {code}; input()"])
+    with pytest.raises(AdapterError, match=r"does not come up: .*'segment_data': -7"):
+        open_adapter(f"exec:{command}", "standard")
+
+
+@pytest.mark.parametrize(
+    ("dut", "words"),
+    [
+        ("model:fault=nonsense", "no fault is called 'nonsense'; did you mean"),
+        ("model:nonsense=1", "has no option 'nonsense'; it takes mailbox, fault"),
+        ("model:mailbox=5", "cannot set up 'model': '5' is no mailbox size; give"),
+        ("model:mailbox=big", "cannot set up 'model': 'big' is no mailbox size; give"),
+        ("canopen:fault=toggle_ignored", "has no option 'fault'; it takes mailbox"),
+    ],
+)
+def test_a_wrong_option_is_one_clear_line(dut: str, words: str) -> None:
+    if dut.startswith("canopen"):
+        pytest.importorskip("canopen")
+    with pytest.raises(AdapterError) as caught:
+        open_adapter(dut, "standard")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def probed(dut: str, mailbox: str) -> Outcome:
+    """Bring the device up over mailboxes of that length, and ask it something."""
+    model = Model(load("standard", mailbox))
+    adapter = open_adapter(dut, "standard")
+    try:
+        runner = Runner(model, adapter, adapter.describe())
+        return runner.judge(Case("probe", "", "sdo", (*way_to(model, "PREOP"), Probe()))).outcome
+    finally:
+        adapter.close()
+
+
+def test_the_mailbox_of_a_virtual_device_has_the_length_that_was_asked_for() -> None:
+    assert probed("model:mailbox=64", "64") is Outcome.PASS
+    assert probed("model", "64") is Outcome.FAIL
+    assert probed("model:mailbox=64", "") is Outcome.FAIL
+
+
 def test_accesses_outside_the_contract_are_refused() -> None:
     check_span(0, 1 << 16)
     for address, length in ((-1, 1), (0, 0), (1 << 16, 1), (65535, 2)):
@@ -173,6 +259,50 @@ def test_every_hosted_adapter_passes_the_kit(name: str) -> None:
         write=(0x120, b"\x01\x00"),
     )
     assert complaints == []
+
+
+MAY = "it may have initiate_data from 0 and segment_data from 1, in bytes"
+
+
+class Described:
+    """The virtual SubDevice with another description."""
+
+    def __init__(self, **changes: object) -> None:
+        self._device = make("standard", {})
+        self._changes = changes
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._device, name)
+
+    def describe(self) -> Description:
+        return replace(self._device.describe(), **self._changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaints"),
+    [
+        ({}, []),
+        ({"limits": {"segment_data": 7}, "notes": ("limits: frames of eight bytes",)}, []),
+        ({"without": ("malformed",), "notes": ("without malformed: cut",)}, []),
+        (
+            {"limits": {"segment_data": 0}, "notes": ("limits: none",)},
+            [f"describe: field 'limits' of a description has 'segment_data': 0; {MAY}"],
+        ),
+        (
+            {"limits": {"segment_data": 7}, "without": ("malformed",)},
+            [
+                "describe: no note of the description says why there is 'limits'",
+                "describe: no note of the description says why there is 'malformed'",
+            ],
+        ),
+    ],
+)
+def test_the_kit_looks_at_limits(changes: dict[str, object], complaints: list[str]) -> None:
+    def described() -> Adapter:
+        return cast("Adapter", Described(**changes))
+
+    write = (0x120, b"\x01\x00")
+    assert check_adapter(described, spans=[(0x130, 2)], write=write) == complaints
 
 
 OBJECTS = (

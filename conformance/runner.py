@@ -56,7 +56,7 @@ class Runner:
         for number, case in enumerate(cases):
             if progress is not None:
                 progress(number, total, case.name)
-            self.verdicts.append(self.judge(case))
+            self.verdicts.append(replace(self.judge(case), flag=case.flag))
 
     def judge(self, case: Case) -> Verdict:
         """Run one case from power-on."""

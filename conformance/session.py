@@ -31,6 +31,8 @@ MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 _SECOND = 1_000_000
 _FIRST_WAIT = 500
 _SLOWER = 4
+_FLOOD = 64
+"""More messages at once than a device can have reason for."""
 
 
 class Deviation(Exception):  # noqa: N818
@@ -153,16 +155,24 @@ class Session:
         self._read_register("al_status")
         self._read_register("al_status_code")
         self._read_register(f"{MAIN_IN}_pdi_control")
-        status = self._read_register(f"{MAIN_IN}_status")
         if unread:
+            self._full()
             return
-        if field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status):
+        for _ in range(_FLOOD):
+            if not self._full():
+                return
             start, length = self._area(MAIN_IN)
             counter, data = self.adapter.read(start, length)
             message = self.model.decode(data) if counter else None
             words = "no message" if message is None else message_words(self.model, message)
             self._say("SubDevice", f"answers {words}")
             self._observe(self._exchange(start, data, counter))
+            if not counter:
+                return
+
+    def _full(self) -> bool:
+        status = self._read_register(f"{MAIN_IN}_status")
+        return bool(field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status))
 
     def _read_register(self, name: str) -> int:
         register = self.model.protocol.registers[name]

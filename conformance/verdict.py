@@ -45,6 +45,8 @@ class Verdict:
     trace: tuple[TraceLine, ...] = ()
     at: str = ""
     signature: str = ""
+    flag: str = ""
+    """What was broken on purpose, a key of `families.NOTES`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from ecatspec.generators.transfers import (
     read,
     upload,
 )
-from ecatspec.model.dictionary import size_of
+from ecatspec.model.dictionary import encode_value, size_of
 from ecatspec.spec.language.ir import Access, Bool
 
 if TYPE_CHECKING:
@@ -32,12 +32,12 @@ def complete_cover(model: Model, limits: Limits) -> Iterator[Case]:
     """Yield the cases: every object up and down, then what must be refused."""
     for index, entries in objects(model).items():
         for first in (0, 1):
-            name = f"{index:04X}_{first:02X}"
+            name = f"{index:04X}_from_{first}"
             stimuli = read(index, first, complete=True)
             yield _case(model, f"complete_upload/{name}", f"upload all from {first}", stimuli)
         beyond = upload(index, 2, complete=True)
         title = "complete upload from subindex 2"
-        yield _case(model, f"complete_upload/{index:04X}_02", title, [beyond])
+        yield _case(model, f"complete_upload/{index:04X}_from_2", title, [beyond])
         if any(is_written(entry) for entry in entries):
             yield from _downloads(model, limits, index, entries)
     for index in missing_indexes(model):
@@ -68,6 +68,19 @@ def image(entries: list[ObjectEntry], first: int) -> bytes:
     return data
 
 
+def _out_of_range(entries: list[ObjectEntry], first: int) -> bytes | None:
+    """Give an image in which one entry has a value that is too high, where that can be."""
+    data, found = b"", False
+    for entry in entries:
+        if entry.subindex >= first:
+            size = 2 * size_of(entry) if entry.subindex == 0 else size_of(entry)
+            value = other_sample(entry) if is_written(entry) else b""
+            if is_written(entry) and entry.high is not None and not found:
+                value, found = encode_value(entry, entry.high + 1), True
+            data += value.ljust(size, b"\0")
+    return data if found else None
+
+
 def _downloads(
     model: Model, limits: Limits, index: int, entries: list[ObjectEntry]
 ) -> Iterator[Case]:
@@ -94,8 +107,12 @@ def _downloads(
         }
         if len(entries) == 1:
             shapes = {"whole": shapes["whole"][:_FEW]}
+        odd = _out_of_range(entries, first)
+        if odd is not None:
+            requests = normal_download(model, (index, first), odd, limits, complete=True)
+            shapes["out_of_range"] = requests
         for word, requests in shapes.items():
-            name = f"complete_download_{word}/{index:04X}_{first:02X}"
+            name = f"complete_download_{word}/{index:04X}_from_{first}"
             stimuli: list[Stimulus] = [*back, *requests, *back]
             title = f"download all from {first}, {word.replace('_', ' ')}"
             yield _case(model, name, title, stimuli, state)

@@ -87,6 +87,10 @@ def _counters(model: Model, ask: SendFrame) -> Iterator[Case]:
             first.frame, {**first.fields, "value": b"\1" * size_of(write)}, same_counter=True
         )
         look = upload(write.index, write.subindex)
+        down, up = (request(row(model, "al_state", name)) for name in ("INIT", "PREOP"))
+        other = SendFrame(first.frame, second.fields)
+        title = "a request in INIT has no effect"
+        yield case_in(model, "mailbox/write_in_INIT", title, [look, down, other, up, look])
         title = "another request with the same counter is dropped"
         yield case_in(model, "mailbox/duplicate_write", title, [look, first, second, look])
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from hypothesis import strategies as st
 
 from ecatspec.generators.case import Repeat, SendFrame, SendSegments, Stimulus
+from ecatspec.generators.sdo_cover import is_written, read_back
 from ecatspec.generators.transfers import (
     abort,
     download,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from ecatspec.generators.case import Limits
     from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import ObjectEntry
 
 _LONGEST = 200
 """Bytes of a drawn value at most: enough for several segments over a small mailbox."""
@@ -160,6 +162,25 @@ def moves(model: Model, limits: Limits) -> st.SearchStrategy[Move]:
 
 
 def requests(model: Model, limits: Limits, steps: int) -> st.SearchStrategy[list[Stimulus]]:
-    """Draw runs of 1 to `steps` moves."""
-    drawn = st.lists(moves(model, limits), min_size=1, max_size=steps)
-    return drawn.map(lambda made: played(made, limits, model))
+    """Draw runs of 1 to `steps` moves between two looks at what they write, and beside it."""
+
+    def looked(made: list[Move]) -> list[Stimulus]:
+        around = [s for entry in _written(model, made) for s in read_back(model, entry)]
+        return [*around, *played(made, limits, model), *around]
+
+    return st.lists(moves(model, limits), min_size=1, max_size=steps).map(looked)
+
+
+def _written(model: Model, made: list[Move]) -> list[ObjectEntry]:
+    """Give the entries that moves write."""
+    touched: dict[tuple[int, int], None] = {}
+    for move in made:
+        match move:
+            case Begin(key=key):
+                touched[key] = None
+            case SendFrame(fields={"index": int(index), "subindex": int(subindex), "value": _}):
+                touched[index, subindex] = None
+            case _:
+                pass
+    entries = model.dictionary.entries
+    return [entries[key] for key in touched if key in entries and is_written(entries[key])]

@@ -28,7 +28,7 @@ from ecatspec.model.dictionary import size_of, size_varies
 from ecatspec.spec.language.ir import Access, Bool
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from ecatspec.model.compiled import Model
     from ecatspec.spec.language.ir import ObjectEntry
@@ -40,12 +40,12 @@ def transfer_cover(model: Model, limits: Limits) -> Iterator[Case]:
         if is_written(entry):
             yield from _sizes(model, limits, entry)
         else:
-            value = pattern(min(64, size_of(entry)))
-            stimuli: Sequence[Stimulus] = writing(
-                model, entry, normal_download(model, _key(entry), value, limits)
-            )
-            name = f"sdo/normal_read_only/{entry_name(entry)}"
-            yield case_in(model, name, "normal write to a read-only entry", stimuli)
+            value = pattern(min(size_of(entry), _SOME))
+            for word, first in (("normal", None), ("segmented", 0)):
+                requests = normal_download(model, _key(entry), value, limits, first=first)
+                name = f"sdo/{word}_read_only/{entry_name(entry)}"
+                title = f"{word} write to a read-only entry"
+                yield case_in(model, name, title, writing(model, entry, requests))
     for index in missing_indexes(model):
         stimuli = normal_download(model, (index, 0), pattern(8), limits)
         name = f"sdo/normal_no_object/{index:04X}"
@@ -88,6 +88,8 @@ def transfer_target(model: Model) -> ObjectEntry | None:
     return max(found, key=lambda e: (size_varies(e), min(size_of(e), _ENOUGH)), default=None)
 
 
+_SOME = 64
+_SOME = 64
 _ENOUGH = 2000
 """Bytes that take several segments over any mailbox."""
 

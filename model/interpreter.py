@@ -224,6 +224,15 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
     return afterwards(model, after, output, message.fields)
 
 
+def differing(model: Model, state: State, output: Output, message: Message) -> tuple[str, ...]:
+    """Give the fields of a message that are not what is due, where it is the frame that is due."""
+    if output.again is not None or output.frame not in message.trail:
+        return ()
+    expected = expected_fields(model, state, output)
+    expected |= later_fields(model, state, output, message.fields)[0]
+    return tuple(n for n, value in expected.items() if not admits(value, message.fields[n]))
+
+
 def later_fields(
     model: Model, state: State, output: Output, fields: Mapping[str, Value]
 ) -> tuple[dict[str, Value], set[str]]:

@@ -15,12 +15,19 @@ from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.dictionary import CROWDED
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
-from ecatspec.model.interpreter import expected_fields, later_fields, matches, rule_clauses, step
+from ecatspec.model.interpreter import (
+    differing,
+    expected_fields,
+    later_fields,
+    matches,
+    rule_clauses,
+    step,
+)
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, is_any
 from ecatspec.model.words import fields_words, message_words, register_words
 from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
-from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, resolve
+from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, names_in, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -354,13 +361,10 @@ class Oracle:
             inbox = candidate.inbox if pending is None else (*candidate.inbox, pending)
             after[replace(candidate, inbox=inbox)] = history
         if concerned and not after:
+            expected = ("the mailbox takes the request",)
+            rules = _last(refused, {MAILBOX})
             return self._mismatch(
-                exchange,
-                "mailbox write",
-                refused,
-                {"the mailbox takes the request": None},
-                "refused: working counter 0",
-                (),
+                exchange, "mailbox write", expected, "refused: working counter 0", rules
             )
         if concerned and exchange.working_counter:
             self.written = exchange.time
@@ -406,7 +410,25 @@ class Oracle:
             register.name,
             {v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views},
         )
-        return self._mismatch(exchange, register.name, before, expected, observed, ())
+        machines = {
+            path.partition(".")[0]
+            for view in views
+            for path in self._names(view.expression)
+            if path.partition(".")[0] in self.model.protocol.machines
+        }
+        rules = _last(before, machines)
+        return self._mismatch(
+            exchange, register.name, tuple(expected), observed, rules, register.clauses
+        )
+
+    def _names(self, expression: Expression) -> Iterator[str]:
+        """Give the names of an expression and of the definitions that it uses."""
+        for path in names_in(expression):
+            definition = self.model.protocol.definitions.get(path)
+            if definition is None:
+                yield path
+            else:
+                yield from self._names(definition.value)
 
     def _shown(self, register: Register, state: State) -> dict[str, Value]:
         environment = Environment(state.slots, {}, {})
@@ -469,13 +491,14 @@ class Oracle:
             self.candidates = after
             return None
         observed = "mailbox full" if full else "mailbox empty: no reply"
+        due = [candidate.outbox[0] for candidate in before if candidate.outbox]
+        rules = dict.fromkeys(rule for output in due for rule in (output.rule, *output.chain))
         return self._mismatch(
             exchange,
             "reply",
-            before,
             self._expected_replies(before),
             observed,
-            tuple(output for candidate in before for output in candidate.outbox[:1]),
+            tuple(rules) or _last(before, {MAILBOX}),
         )
 
     def _read_empty(self, exchange: Exchange) -> Mismatch | None:
@@ -508,14 +531,30 @@ class Oracle:
             self.candidates = after
             return None
         observed = "no message" if message is None else message_words(self.model, message)
+        due = [(c.state, c.outbox[0]) for c in before if c.outbox]
+        wrong: list[str] = []
+        for state, output in due:
+            if message is not None:
+                wrong += self._clauses_of_fields(state, output, message)
         return self._mismatch(
             exchange,
             "reply",
-            before,
             self._expected_replies(before),
             observed,
-            tuple(output for candidate in before for output in candidate.outbox[:1]),
+            tuple(dict.fromkeys(output.rule for _, output in due)) or _last(before, {MAILBOX}),
+            tuple(wrong),
         )
+
+    def _clauses_of_fields(self, state: State, output: Output, message: Message) -> Iterator[str]:
+        """Give the clauses of the layouts and choices that fields of a reply break."""
+        for name in differing(self.model, state, output, message):
+            for frame in self.model.codec.trail(output.frame):
+                for item in self.model.protocol.frames[frame].fields:
+                    if item.name == name:
+                        yield from self.model.protocol.frames[frame].clauses
+                        for path in () if item.reply is None else names_in(item.reply):
+                            choice = self.model.protocol.choices.get(path)
+                            yield from () if choice is None else choice.clauses
 
     def _taken(
         self, candidate: Candidate, message: Message, time: int
@@ -551,7 +590,7 @@ class Oracle:
 
     def _expected_replies(
         self, candidates: dict[Candidate, tuple[RuleName, ...]]
-    ) -> dict[str, None]:
+    ) -> tuple[str, ...]:
         expected: dict[str, None] = {}
         for candidate in candidates:
             if candidate.outbox:
@@ -562,7 +601,7 @@ class Oracle:
                 expected[fields_words(self.model, output.frame, stated)] = None
             elif not candidate.inbox:
                 expected["no reply"] = None
-        return expected
+        return tuple(expected)
 
     # --- helpers ----------------------------------------------------------------------------------
 
@@ -603,16 +642,19 @@ class Oracle:
         mail = bool(event.trail)
         served = []
         for taken in self._steps(candidate.state, event):
-            outbox = candidate.outbox + taken.outputs
+            due = tuple(replace(output, chain=taken.rules) for output in taken.outputs)
+            outbox = candidate.outbox + due
             if mail and candidate.outbox:
                 # a device answers in order, but it may refuse at once what comes too early
                 if not taken.outputs or not event.parameters.get(CROWDED):
                     continue
-                if taken.outputs[0].frame != REFUSAL:
+                if due[0].frame != REFUSAL:
                     continue
-                outbox = taken.outputs + candidate.outbox
+                outbox = due + candidate.outbox
             if taken.resend is not None and candidate.last is not None:
-                again = Output(MAILBOX, (), taken.resend, again=candidate.last)
+                again = Output(
+                    MAILBOX, (), taken.resend, again=candidate.last, chain=(taken.resend,)
+                )
                 outbox = (again, *outbox)
             after = replace(
                 candidate,
@@ -664,17 +706,14 @@ class Oracle:
         self,
         exchange: Exchange,
         subject: str,
-        before: dict[Candidate, tuple[RuleName, ...]],
-        expected: dict[str, None],
+        expected: tuple[str, ...],
         observed: str,
-        outputs: tuple[Output, ...],
+        rules: tuple[RuleName, ...],
+        more: tuple[str, ...] = (),
     ) -> Mismatch:
-        rules = dict.fromkeys(output.rule for output in outputs)
-        if not rules:
-            machine = MAILBOX if subject in {"reply", "mailbox write"} else "al"
-            own = ([r for r in h if r.machine == machine] for h in before.values())
-            rules = dict.fromkeys(history[-1] for history in own if history)
-        clauses = dict.fromkeys(c for rule in rules for c in rule_clauses(self.model, rule))
+        """Give the mismatch; it cites `rules`, and `more` clauses than theirs."""
+        cited = (clause for rule in rules for clause in rule_clauses(self.model, rule))
+        clauses = dict.fromkeys((*cited, *more))
         if not clauses:
             # before any rule fired it is the power-on value or the register itself that is broken
             register = subject if subject in self.model.views else f"{MAIN_IN}_status"
@@ -682,12 +721,20 @@ class Oracle:
         return Mismatch(
             exchange,
             subject,
-            tuple(expected),
+            expected,
             observed,
-            tuple(rules),
+            rules,
             tuple(clauses),
             f"{subject} {' '.join(sorted(clauses))} {observed.partition(':')[0]}",
         )
+
+
+def _last(
+    candidates: dict[Candidate, tuple[RuleName, ...]], machines: set[str]
+) -> tuple[RuleName, ...]:
+    """Give the last rule of these machines in each history."""
+    own = ([r for r in history if r.machine in machines] for history in candidates.values())
+    return tuple(dict.fromkeys(history[-1] for history in own if history))
 
 
 def _overlaps(register: Register, exchange: Exchange) -> bool:

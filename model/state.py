@@ -76,6 +76,8 @@ class Output:
     given: tuple[tuple[str, Value], ...] | None = None
     within: int = 0
     again: bytes | None = None
+    chain: tuple[RuleName, ...] = ()
+    """The rules that led to it, from the input of the device on."""
 
 
 @dataclass(frozen=True, slots=True)

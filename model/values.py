@@ -82,7 +82,12 @@ class Pattern:
         )
 
     def piece(self, offset: int, least: int, most: int) -> Pattern:
-        """Give what a piece of such a byte string may be, `least` to `most` bytes long."""
+        """Give what a piece of such a byte string may be, `least` to `most` bytes long.
+
+        Where fewer bytes are left than `least`, those; where `least` is more than `most`, nothing.
+        """
+        if least > most:
+            return Pattern(lengths=(least, most))
         if self.lengths is not None:
             most = min(most, max(0, self.lengths[1] - offset))
         content = None if self.content is None else self.content[offset:]

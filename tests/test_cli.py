@@ -58,6 +58,7 @@ class Played:
         *,
         depth: str,
         seed: int,
+        mailbox: str,
         hang_timeout: float,
         progress: Callable[[int, int, str], None] | None,
     ) -> Result:
@@ -66,6 +67,7 @@ class Played:
             "dut": dut,
             "depth": depth,
             "seed": seed,
+            "mailbox": mailbox,
             "hang_timeout": hang_timeout,
             "progress": progress,
         }
@@ -176,6 +178,9 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
         (["run", DEVICE, "--dut", "mode"], "did you mean 'model'?"),
         (["run", DEVICE, "--dut", "exec:/nonexistent/program"], "/nonexistent/program"),
         (["run", DEVICE, "--dut", "exec:'"], "command"),
+        (["run", DEVICE, "--dut", "model:fault=nonsense"], "no fault is called 'nonsense'"),
+        (["run", DEVICE, "--dut", "model:fault=toggle_ignored"], FAULT),
+        (["run", DEVICE, "--dut", "model:nonsense=1"], "nonsense"),
         (["show", "a/b.ecs"], "No such file"),
         (["run", "a/b.ecs"], "No such file"),
         (["check", "a/b.ecs"], "No such file"),
@@ -187,6 +192,11 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
 )
 def test_wrong_arguments(call: Call, arguments: list[str], word: str) -> None:
     assert_refused(call(*arguments), word)
+
+
+@pytest.mark.parametrize("size", ["33", "1487", "abc", "64:", ":64", "1:2:3", "64:33", "-64", "6 4"])
+def test_wrong_mailbox_sizes(call: Call, size: str) -> None:
+    assert_refused(call("run", DEVICE, f"--mailbox={size}"), repr(size), "SIZE or OUT:IN", "34 to 1486")
 
 
 @pytest.mark.parametrize("content", [None, b"", bytes(range(256)) * 20, b"\xd4\xc3\xb2\xa1\x02"])
@@ -404,17 +414,19 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
         "dut": "model",
         "depth": "default",
         "seed": 0,
+        "mailbox": "",
         "hang_timeout": HANG_TIMEOUT,
         "progress": None,
     }
     file = str(shipped(tmp_path, DEVICE))
-    options = ["--depth", "quick", "--seed", "7", "--hang-timeout", "0.5"]
+    options = ["--depth", "quick", "--seed", "7", "--mailbox", "64:1486", "--hang-timeout", "0.5"]
     call("run", file, "--dut", "exec:x --y", *options)
     assert played.asked == {
         "device": file,
         "dut": "exec:x --y",
         "depth": "quick",
         "seed": 7,
+        "mailbox": "64:1486",
         "hang_timeout": 0.5,
         "progress": None,
     }

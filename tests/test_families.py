@@ -160,7 +160,7 @@ def touched(model: Model, frame: str, before: bytes, after: bytes) -> set[tuple[
 
 
 def test_names_are_unique_and_the_valid_message_comes_first() -> None:
-    for model, frame, base, family in families():
+    for _model, frame, base, family in families():
         assert len({variant.name for variant in family}) == len(family) <= MOST
         assert family[0] == Variant("valid", Family.VALID, "", SendFrame(frame, base))
         assert [v.name for v in family if v.family is Family.VALID] == ["valid"]
@@ -203,7 +203,7 @@ def test_two_families_are_equal() -> None:
 
 
 def test_valid_and_boundary_messages_are_still_this_frame() -> None:
-    for model, frame, base, family in families():
+    for model, frame, _base, family in families():
         for variant in family:
             if variant.family is not Family.MALFORMED:
                 data = bytes_of(model, variant)
@@ -360,7 +360,7 @@ def test_the_message_is_cut_after_every_field(device: str) -> None:
 
 def test_what_fills_the_area_fills_it() -> None:
     filled = set()
-    for model, frame, base, family in families():
+    for model, _frame, _base, family in families():
         for variant in family:
             if variant.name.endswith(("_fills_area", "_goes_on")) and (
                 variant.flag != "length_padded"

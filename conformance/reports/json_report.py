@@ -59,6 +59,7 @@ def _brief(verdict: Verdict) -> dict[str, object]:
         "title": verdict.title,
         "reason": verdict.reason,
         "at": verdict.at,
+        "flag": verdict.flag,
     }
 
 

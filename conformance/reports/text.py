@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import Outcome
+from ecatspec.generators.families import NOTES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -89,6 +90,8 @@ def _finding(number: int, finding: Finding, protocol: Protocol) -> Iterable[str]
     yield from _labelled("expected", [*_alternatives(verdict.expected)])
     yield from _labelled("observed", [verdict.observed] if verdict.observed else [])
     yield from _labelled("reason", [verdict.reason] if verdict.reason else [])
+    flag = f"{verdict.flag}: {NOTES[verdict.flag]}" if verdict.flag else ""
+    yield from _labelled("flag", [flag] if flag else [])
     yield from _labelled("at", [verdict.at] if verdict.at else [])
     yield from _labelled("case", [verdict.case])
     if verdict.trace:

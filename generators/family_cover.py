@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import case_in, row
-from ecatspec.generators.families import Family, family_of, request_frames
+from ecatspec.generators.families import Family, Variant, family_of, request_frames
 from ecatspec.generators.mailbox_cover import probe_entry
 from ecatspec.generators.transfer_cover import transfer_target
-from ecatspec.generators.transfers import initiate, pattern
+from ecatspec.generators.transfers import initiate, pattern, segment_room
 from ecatspec.model.dictionary import size_of
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def family_cover(model: Model, limits: Limits) -> Iterator[Case]:
         return
     target = transfer_target(model) or known
     least = model.parameter("smallest_data_field")
-    size = min(size_of(target), least + 1)
+    size = min(size_of(target), least + 1, segment_room(model, limits))
     place: dict[str, Value] = {"index": target.index, "subindex": target.subindex}
     begin = initiate(target.index, target.subindex, size, b"")
     bases: dict[str, tuple[dict[str, Value], list[Stimulus]]] = {
@@ -51,12 +51,25 @@ def family_cover(model: Model, limits: Limits) -> Iterator[Case]:
             layer = "sdo_information" if frame.startswith("information") else "sdo"
             name = f"{layer}/{variant.family}/{frame}/{variant.name}"
             title = f"{variant.family} {frame}: {variant.name.replace('_', ' ')}"
-            broken = variant.family is Family.MALFORMED and limits.segment_data is not None
             yield case_in(
                 model,
                 name,
                 title,
                 [*before, variant.stimulus],
                 flag=variant.flag,
-                feature="malformed" if broken else "",
+                feature=_feature(variant, least),
             )
+
+
+def _feature(variant: Variant, least: int) -> str:
+    """Give what the way to a device must carry for this variant."""
+    frame, fields = variant.stimulus.frame, variant.stimulus.fields
+    if variant.family is Family.MALFORMED:
+        return "malformed"
+    if fields.get("complete_access"):
+        return "complete_access"
+    if frame == "sdo_download_normal":
+        return "data_in_initiate"
+    value = fields.get("value")
+    longer = frame == "sdo_download_segment" and isinstance(value, bytes) and len(value) > least
+    return "oversized" if longer or fields.get("excess") else ""

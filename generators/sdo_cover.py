@@ -167,6 +167,6 @@ def _odd_commands(model: Model) -> Iterator[Case]:
     for command in range(1 << table.width):
         if command not in known:
             odd = SendFrame("sdo_request", {"command": command, "rest": rest})
-            name = f"sdo/unknown_command/{command}"
-            yield case_in(model, name, "unknown command specifier", [odd])
+            name, feature = f"sdo/unknown_command/{command}", f"unknown_command_{command}"
+            yield case_in(model, name, "unknown command specifier", [odd], feature=feature)
     yield case_in(model, "sdo/client_abort", "abort without a transfer", [abort(0, 0, 0)])

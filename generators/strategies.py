@@ -113,12 +113,15 @@ def downloads(model: Model) -> st.SearchStrategy[SendFrame]:
     )
 
 
-def begins(model: Model) -> st.SearchStrategy[Begin]:
+def begins(model: Model, limits: Limits) -> st.SearchStrategy[Begin]:
     """Draw normal downloads: of the entry's own size, or of any."""
 
     def sized(entry_size: int) -> st.SearchStrategy[bytes]:
         own = min(entry_size, _LONGEST)
-        return st.one_of(st.binary(min_size=own, max_size=own), st.binary(max_size=_LONGEST))
+        least = int("empty_download" in limits.without)
+        own = max(own, least)
+        some = st.binary(min_size=least, max_size=_LONGEST)
+        return st.one_of(st.binary(min_size=own, max_size=own), some)
 
     def begin(key: tuple[int, int]) -> st.SearchStrategy[Begin]:
         entry = model.dictionary.entries.get(key)
@@ -142,7 +145,7 @@ def moves(model: Model, limits: Limits) -> st.SearchStrategy[Move]:
     found: list[st.SearchStrategy[Move]] = [
         uploads(model, limits),
         downloads(model),
-        begins(model),
+        begins(model, limits),
         st.builds(
             Segment,
             st.integers(0, _LONGEST),

@@ -62,5 +62,5 @@ def _kinds(model: Model) -> dict[str, object]:
         shape = tuple(dict.fromkeys(own.values())), len(entries) > 1
         kinds[f"{index:04X}"] = shape
         for first in (0, 1, 2):
-            kinds[f"{index:04X}_from_{first}"] = shape
+            kinds[f"{index:04X}_from_{first}"] = (shape, first)
     return kinds

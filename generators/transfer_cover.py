@@ -72,7 +72,7 @@ def transfer_cover(model: Model, limits: Limits) -> Iterator[Case]:
         yield from _interruptions(model, limits, target)
     long = _long_entry(model)
     if long is not None:
-        yield from _uploads(model, long)
+        yield from _uploads(model, limits, long)
 
 
 def transfer_target(model: Model) -> ObjectEntry | None:
@@ -133,11 +133,13 @@ def _sizes(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]:
             requests = requests[:_FEW]
         stimuli = writing(model, entry, requests)
         case = f"sdo/length_{size}/{name}"
-        yield case_in(model, case, f"write {size} bytes", stimuli, state=state)
+        feature = "" if size else "empty_download"
+        yield case_in(model, case, f"write {size} bytes", stimuli, state=state, feature=feature)
 
 
 _FEW = 4
 """Messages after which a device must have refused what is too long."""
+_MOST_SEGMENTS = 1000
 _FAR = 40
 """So many bytes more are more than a rounding of the size."""
 
@@ -181,7 +183,8 @@ def _lengths(model: Model, limits: Limits, most: int) -> list[int]:
     edges |= {answered + further + 1, most, most + 1}
     if most <= _ENOUGH:
         edges |= {most - 1, most + _FAR}
-    return sorted(edge for edge in edges if 0 <= edge <= most + _FAR)
+    longest = first + _MOST_SEGMENTS * more
+    return sorted(edge for edge in edges if 0 <= edge <= min(most + _FAR, longest))
 
 
 # --- what can happen in the middle of a download --------------------------------------------------
@@ -330,7 +333,7 @@ def _interruptions(model: Model, limits: Limits, target: ObjectEntry) -> Iterato
             [begin, first, request_, *normal_download(model, key, pattern(size, 1), limits)],
         )
     for name, (title, stimuli) in runs.items():
-        feature = "repeat" if name.startswith("repeat") else ""
+        feature = _feature(name)
         looked = writing(model, target, stimuli)
         yield case_in(model, f"sdo/transfer/{name}", title, looked, feature=feature)
 
@@ -348,10 +351,10 @@ def _restart(model: Model) -> list[Stimulus]:
 # --- what can happen in the middle of an upload ---------------------------------------------------
 
 
-def _uploads(model: Model, entry: ObjectEntry) -> Iterator[Case]:
+def _uploads(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]:
     key = _key(entry)
     ask = upload(*key)
-    fill = normal_download(model, key, pattern(size_of(entry), 4))
+    fill = normal_download(model, key, pattern(size_of(entry), 4), limits)
     get, turned = upload_segment(toggle=False), upload_segment(toggle=True)
     other = segment(sample(entry)[:7] or b"\1", toggle=False, last=True)
     probe = next(e for e in model.protocol.objects if e.access is not Access.WRITE and not e.states)
@@ -399,6 +402,15 @@ def _uploads(model: Model, entry: ObjectEntry) -> Iterator[Case]:
         ),
     }
     for name, (title, stimuli) in runs.items():
-        feature = "repeat" if name.endswith("repeat") else ""
+        feature = _feature(name)
         looked = [*fill, *read(*key), *stimuli]
         yield case_in(model, f"sdo/transfer/{name}", title, looked, feature=feature)
+
+
+def _feature(name: str) -> str:
+    """Give what the way to a device must carry for a run of this name."""
+    if "repeat" in name:
+        return "repeat"
+    if name.startswith("unknown_command"):
+        return name
+    return "mailbox_restart" if name.endswith("over_init") else ""

@@ -15,7 +15,14 @@ if TYPE_CHECKING:
 
 _BYTE = 8
 """Numbers up to this many bits are said in decimal."""
+_MANY = 24
+"""Byte strings longer than this are not said in full."""
+_FIRST, _LAST = 8, 4
+"""So many bytes of them are, from either end."""
 _QUIET = ("address", "channel", "priority", "reserved", "padding", "payload", "body", "number")
+
+_EXCESS = "excess"
+"""Bytes of this name are said only where there are some: a valid message has none."""
 
 
 def typed_words(model: Model, kind: Type, value: Value) -> str:
@@ -31,7 +38,7 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
             words = " or ".join(parts)
             return words if excluded is None else f"{words} but not {excluded}"
         case bytes():
-            return value.hex(" ").upper() or "empty"
+            return _bytes_words(value)
         case str():
             return value
     match kind:
@@ -49,6 +56,13 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
             return str(int(value))
         case _:
             return str(value)
+
+
+def _bytes_words(value: bytes) -> str:
+    if len(value) <= _MANY:
+        return value.hex(" ").upper() or "empty"
+    first, last = value[:_FIRST].hex(" ").upper(), value[-_LAST:].hex(" ").upper()
+    return f"{first} .. {last} ({len(value)} bytes)"
 
 
 def value_words(model: Model, frame: str, field: str, value: Value) -> str:
@@ -81,6 +95,7 @@ def fields_words(model: Model, frame: str, fields: Mapping[str, Value]) -> str:
         if name in fields
         and name not in fixed
         and not name.startswith(_QUIET)
+        and not (name == _EXCESS and fields[name] == b"")
         and not model.codec.is_derived(frame, name)
     ]
     return f"{frame}: {', '.join(told)}" if told else frame

@@ -22,11 +22,14 @@ from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import HANG_TIMEOUT
 from ecatspec.conformance.devices import machine_sheets, sheets
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.spec.language.load import device_names, load_device, load_standard
+from ecatspec.spec.language.load import device_names, load_device, load_faults, load_standard
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from ecatspec.generators.case import Case, Limits
+    from ecatspec.model.compiled import Model
 
     Call = Callable[..., tuple[int, str, str]]
 
@@ -178,8 +181,11 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
         (["run", DEVICE, "--dut", "mode"], "did you mean 'model'?"),
         (["run", DEVICE, "--dut", "exec:/nonexistent/program"], "/nonexistent/program"),
         (["run", DEVICE, "--dut", "exec:'"], "command"),
-        (["run", DEVICE, "--dut", "model:fault=nonsense"], "no fault is called 'nonsense'"),
-        (["run", DEVICE, "--dut", "model:fault=toggle_ignored"], FAULT),
+        (
+            ["run", DEVICE, "--dut", "model:fault=nonsense"],
+            "no fault is called 'nonsense'; did you",
+        ),
+        (["run", DEVICE, "--dut", "model:fault=toggleignored"], "did you mean 'toggle_ignored'?"),
         (["run", DEVICE, "--dut", "model:nonsense=1"], "nonsense"),
         (["show", "a/b.ecs"], "No such file"),
         (["run", "a/b.ecs"], "No such file"),
@@ -194,9 +200,13 @@ def test_wrong_arguments(call: Call, arguments: list[str], word: str) -> None:
     assert_refused(call(*arguments), word)
 
 
-@pytest.mark.parametrize("size", ["33", "1487", "abc", "64:", ":64", "1:2:3", "64:33", "-64", "6 4"])
+@pytest.mark.parametrize(
+    "size", ["33", "1487", "abc", "64:", ":64", "1:2:3", "64:33", "-64", "6 4"]
+)
 def test_wrong_mailbox_sizes(call: Call, size: str) -> None:
-    assert_refused(call("run", DEVICE, f"--mailbox={size}"), repr(size), "SIZE or OUT:IN", "34 to 1486")
+    assert_refused(
+        call("run", DEVICE, f"--mailbox={size}"), repr(size), "SIZE or OUT:IN", "34 to 1486"
+    )
 
 
 @pytest.mark.parametrize("content", [None, b"", bytes(range(256)) * 20, b"\xd4\xc3\xb2\xa1\x02"])
@@ -430,6 +440,51 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
         "hang_timeout": 0.5,
         "progress": None,
     }
+
+
+@pytest.mark.parametrize("size", ["34", "1486", "34:1486", "1486:34", "128:64"])
+def test_mailbox_sizes_reach_the_runner(call: Call, played: Played, size: str) -> None:
+    assert call("run", DEVICE, "--mailbox", size)[0] == 0
+    assert played.asked["mailbox"] == size
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real runs, of few cases."""
+    every = runner.all_cases
+
+    def chosen(model: Model, limits: Limits, depth: str) -> Iterator[Case]:
+        assert depth == "quick"
+        for case in every(model, limits, depth):
+            if case.name.startswith("sdo/transfer/wrong_"):
+                yield case
+
+    monkeypatch.setattr(runner, "all_cases", chosen)
+    monkeypatch.setitem(runner.EXAMPLES, "quick", 1)
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("size", ["34", "64:1486"])
+def test_a_run_with_another_mailbox(call: Call, size: str) -> None:
+    status, out, _ = call("run", "reference", "--depth", "quick", "--mailbox", size, "--json")
+    assert status == 0
+    (one,) = json.loads(out)["results"]
+    assert one["cases"]["pass"] == sum(one["cases"].values()) > 2
+
+
+@pytest.mark.usefixtures("few")
+def test_a_planted_fault_is_found_and_its_clause_named(call: Call) -> None:
+    clauses = set(load_faults()["toggle_ignored"].clauses)
+    dut = "model:fault=toggle_ignored"
+    status, out, err = call("run", "reference", "--depth", "quick", "--dut", dut, "--json")
+    assert (status, err) == (1, "")
+    (one,) = json.loads(out)["results"]
+    blamed = {clause["id"] for finding in one["findings"] for clause in finding["clauses"]}
+    assert clauses & blamed
+    status, out, _ = call("run", "reference", "--depth", "quick", "--dut", dut)
+    assert status == 1
+    assert all(f"{clause} must" in out for clause in clauses & blamed)
+    assert call("run", "reference", "--depth", "quick")[0] == 0
 
 
 def test_the_monitor_judges_by_the_standard(call: Call, played: Played) -> None:

@@ -28,20 +28,6 @@ SMALL = "40"
 """The mailbox for SDO information, so that a list takes several messages."""
 LONG = 16
 """After so many stimuli a transfer is the same over and over; the sound device stops there."""
-_LOOSE = "the texts allow it: "
-_BLAMES = "the oracle blames AL for a register of the mailbox"
-_NO_CASE = "there is no case: "
-UNFOUND = {
-    "list_truncated": f"{_LOOSE}a piece that must be longer than its room may be as long as that",
-    "segment_not_padded": f"{_LOOSE}no rule says how long the message of a short segment is",
-    "repeat_unknown": _BLAMES,
-    "repeat_bits_differ_at_start": _BLAMES,
-    "complete_range_unchecked": f"{_NO_CASE}a complete download with a value out of range",
-    "complete_shifted": "the quick suite takes a record from subindex 1 for a plain entry",
-    "served_in_init": f"{_NO_CASE}a write in INIT, with a look at the value before and after",
-    "read_only_refused_late": f"{_NO_CASE}a read-only entry announced, its data still to come",
-}
-"""Faults that no case finds yet, with the reason."""
 
 
 @dataclass(slots=True)
@@ -134,8 +120,6 @@ def test_the_sound_device_is_not_blamed(mailbox: str) -> None:
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_run_finds_the_fault(name: str) -> None:
-    if name in UNFOUND:
-        pytest.xfail(UNFOUND[name])
     fault = FAULTS[name]
     made = suite(SMALL if "information" in fault.at.file else "")
     runner = made.runner({"fault": name})

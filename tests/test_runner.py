@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.conformance.verdict import Result, Verdict
+    from ecatspec.generators.case import Limits
 
 DEVICE = "kollmorgen-akd"
 MODEL = Model(load_device(DEVICE))
@@ -155,7 +156,7 @@ def host(tmp_path: Path) -> str:
     ("how", "kind", "words"),
     [
         ("kill", "DeviceCrash", "SIGKILL"),
-        ("sleep", "DeviceHang", "no answer within 2 s"),
+        ("sleep", "DeviceHang", "no answer within 5 s"),
         ("rubbish", "DeviceRubbish", "not JSON"),
     ],
 )
@@ -163,7 +164,7 @@ def test_a_death_is_a_verdict_and_the_run_goes_on(
     host: str, how: str, kind: str, words: str
 ) -> None:
     # long enough for the interpreter to start on a busy machine
-    adapter = open_adapter(f"{host} {how} 3", "standard", hang_timeout=2.0)
+    adapter = open_adapter(f"{host} {how} 3", "standard", hang_timeout=5.0)
     model = Model(load_device("standard"))
     try:
         runner = Runner(model, adapter, adapter.describe())
@@ -219,7 +220,7 @@ def test_an_interrupt_gives_what_was_found_and_leaves_no_process() -> None:
 
 
 def test_an_interrupt_of_the_random_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    def few(_: Model) -> Iterator[Case]:
+    def few(_model: Model, _limits: Limits, _depth: str) -> Iterator[Case]:
         yield case("probe")
 
     def progress(_number: int, _total: int, name: str) -> None:

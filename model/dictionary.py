@@ -45,10 +45,8 @@ class ObjectDictionary:
             self._highest[index] = max(self._highest.get(index, 0), subindex)
         self.functions: dict[str, Function] = {
             "declared": lambda _, a: (a[0], a[1]) in self.entries,
-            "entry_exists": lambda _, a: (a[0], a[1]) in self.entries,
             "object_exists": lambda _, a: a[0] in self._highest,
             "is_plain_variable": lambda _, a: self._highest.get(_number(a[0])) == 0,
-            "count_of": lambda _, a: self._highest.get(_number(a[0]), 0),
             "dictionary_closed": lambda _, __: self.closed,
             "in_work": lambda e, _: e.parameters.get(CROWDED, False),
             "readable": self._of_entry(lambda e, _, __: e.access is not Access.WRITE),
@@ -61,7 +59,6 @@ class ObjectDictionary:
             ),
             "readable_in": self._of_entry(lambda e, _, a: self._readable(e, a[2])),
             "writable_in": self._of_entry(lambda e, _, a: self._writable(e, a[2])),
-            "is_constant": self._of_entry(lambda e, _, __: e.constant),
             "range_known": self._of_entry(lambda e, _, __: e.low is not None),
             "size_of": self._of_entry(lambda e, _, __: size_of(e)),
             "size_varies": self._of_entry(lambda e, _, __: size_varies(e)),
@@ -71,7 +68,6 @@ class ObjectDictionary:
             "in_range": self._of_entry(lambda e, _, a: _compare(e, a[2]) == 0),
             "too_high": self._of_entry(lambda e, _, a: _compare(e, a[2]) > 0),
             "too_low": self._of_entry(lambda e, _, a: _compare(e, a[2]) < 0),
-            "complete_known": lambda _, a: self._complete_known(_number(a[0])),
             "complete_size": lambda _, a: self._complete_size(_number(a[0]), _number(a[1])),
             "complete_value": self._complete_value,
             "complete_in_range": lambda _, a: self._complete_in_range(*a),

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.session import Session
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 LIMITED = """
 device small extends standard "a device with expedited transfers only"
-clause SML-01 must "no more than 4 bytes, no segments, no complete access, no information" source "this text"
+clause SML-01 must "expedited transfers only, and nothing beside" source "this text"
 parameter longest_transfer = 4 [SML-01]
 pin segmented_download = refused [SML-01]
 pin information_support = absent [SML-01]
@@ -52,8 +53,6 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Protocol]:
 
 def runner(text: Protocol, device: Protocol) -> Runner:
     """Judge by `text` the virtual SubDevice of `device`."""
-    from ecatspec.conformance.adapter import Description
-
     model = Model(text)
     description = Description("small", frozenset(text.machines), *(True, True))
     adapter = VirtualAdapter(VirtualSubDevice(device), description)

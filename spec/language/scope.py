@@ -194,12 +194,10 @@ _COUNT: Final = UInt(32)
 FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "declared": FunctionSignature(_ENTRY, Bool(), "a text declares the entry"),
     "object_exists": FunctionSignature((_INDEX,), Bool(), "the device has the object"),
-    "entry_exists": FunctionSignature(_ENTRY, Bool(), "the device has the entry"),
     "readable": FunctionSignature(_ENTRY, Bool(), "the entry can be read in some AL state"),
     "writable": FunctionSignature(_ENTRY, Bool(), "the entry can be written in some AL state"),
     "readable_now": FunctionSignature(_ENTRY, Bool(), "the entry can be read in this AL state"),
     "writable_now": FunctionSignature(_ENTRY, Bool(), "the entry can be written in this AL state"),
-    "is_constant": FunctionSignature(_ENTRY, Bool(), "the value of the entry never changes"),
     "size_of": FunctionSignature(_ENTRY, UInt(32), "bytes that the entry has at most"),
     "size_varies": FunctionSignature(_ENTRY, Bool(), "the entry may hold fewer bytes than that"),
     "present_size": FunctionSignature(_ENTRY, UInt(32), "bytes that an upload may announce now"),
@@ -210,8 +208,6 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "too_high": FunctionSignature((*_ENTRY, _DATA), Bool(), "above the range of the entry"),
     "too_low": FunctionSignature((*_ENTRY, _DATA), Bool(), "below the range of the entry"),
     "is_plain_variable": FunctionSignature((_INDEX,), Bool(), "the object has subindex 0 only"),
-    "count_of": FunctionSignature((_INDEX,), UInt(8), "the highest subindex of the object"),
-    "complete_known": FunctionSignature((_INDEX,), Bool(), "the layout of the object is certain"),
     "complete_size": FunctionSignature(_ENTRY, UInt(32), "bytes from this subindex on, padded"),
     "complete_value": FunctionSignature(_ENTRY, _DATA, "the object from this subindex on"),
     "complete_in_range": FunctionSignature((*_ENTRY, _DATA), Bool(), "all ranges allow the bytes"),
@@ -235,17 +231,12 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     ),
     "lesser": FunctionSignature((_COUNT, _COUNT), _COUNT, "the smaller number"),
     "dictionary_closed": FunctionSignature((), Bool(), "only declared objects exist"),
-    "identification_answer": FunctionSignature(
-        (Bool(),), Bool(), "whether identification is loaded after this request for it"
-    ),
 }
 
 IMPLIES: Final = (
     ("readable_now", "readable"),
     ("writable_now", "writable"),
-    ("declared", "entry_exists"),
     ("declared", "object_exists"),
-    ("entry_exists", "object_exists"),
 )
 """For the same entry: where the first holds, the second holds (of its first arguments)."""
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.model.compiled import Model
-from ecatspec.model.dictionary import ObjectDictionary
 from ecatspec.model.functions import PLAIN
 from ecatspec.spec.language.load import load_device, load_file
 from ecatspec.spec.language.pretty import pretty_type
@@ -33,7 +32,7 @@ def test_the_page_lists_exactly_the_functions_that_there_are() -> None:
 
 def test_every_function_of_the_language_means_something() -> None:
     standard = load_device("standard")
-    dictionary: ObjectDictionary = Model(standard).dictionary
+    dictionary = Model(standard).dictionary
     assert set(FUNCTIONS) == set(PLAIN) | set(dictionary.functions)
 
 

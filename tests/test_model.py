@@ -209,9 +209,12 @@ def test_a_piece_of_what_is_known_admits_exactly_its_slices(
     assert isinstance(piece, Pattern)
     top = min(most, len(content[offset:]))
     slices = {content[offset : offset + n] for n in range(min(least, top), top + 1)}
+    if least > most:
+        slices = set()  # more is demanded than there is room for
     assert all(piece.admits(part) for part in slices)
     assert piece.admits(seen) == (seen in slices)
-    assert piece.longest() == content[offset : offset + top]
+    if slices:
+        assert piece.longest() == content[offset : offset + top]
     assert piece == call("piece", known(content), offset, least, most)
 
 

@@ -19,17 +19,18 @@ help:  ## list the targets
 demo: $(VENV)/installed  ## judge a virtual drive (conforms) and a foreign SDO server (does not)
 	@echo '== 1 of 2: the virtual SubDevice against the text of the Kollmorgen AKD.'
 	@echo '==         It is made from that text, so it must conform: exit status 0.'
-	$(BIN)/ecatspec run kollmorgen-akd
+	@echo '==         Both runs are quick ones, with one entry of each kind; leave out --depth quick for all.'
+	$(BIN)/ecatspec run kollmorgen-akd --depth quick
 	@echo
 	@echo '== 2 of 2: the SDO server of the Python package canopen against the same text.'
 	@echo '==         It was written for CAN, not for this drive: findings and exit status 1 are expected.'
-	@echo '$(BIN)/ecatspec run kollmorgen-akd --dut canopen'; \
-	status=0; $(BIN)/ecatspec run kollmorgen-akd --dut canopen || status=$$?; \
+	@echo '$(BIN)/ecatspec run kollmorgen-akd --dut canopen --depth quick'; \
+	status=0; $(BIN)/ecatspec run kollmorgen-akd --dut canopen --depth quick || status=$$?; \
 	if [ $$status -eq 1 ]; then echo '== demo done: statuses 0 and 1, as expected.'; \
 	else echo "== demo failed: the second run ended with status $$status, expected was 1." >&2; exit 1; fi
 
 test: lint  ## everything: lint, types, and the tests against the installed wheel
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadgroup
 
 lint: $(VENV)/developed  ## formatting, rules and types
 	$(BIN)/ruff format --check .

@@ -413,7 +413,7 @@ def _objects(protocol: Protocol) -> Sheet:
             entry.name,
             pretty_type(entry.type),
             entry.access.value,
-            entry.states,
+            (*entry.states, *(f"{state} (read)" for state in entry.read_states)),
             _limits(entry),
             "" if entry.default is None else str(entry.default),
             entry.clauses,

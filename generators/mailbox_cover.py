@@ -101,6 +101,10 @@ def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
         yield case_in(model, name, f"upload in {state}", [ask, ask], state=state)
     stimuli = (*mailbox_settings(model), ask)
     yield Case("mailbox/upload_in_INIT", "upload in INIT", "mailbox", stimuli, prelude=2)
+    beyond = SendFrame(ask.frame, {**ask.fields, "length": model.parameter("maximal_mailbox")})
+    stimuli = (*mailbox_settings(model), beyond)
+    title = "a message in INIT that is too long for the mailbox"
+    yield Case("mailbox/beyond_in_INIT", title, "mailbox", stimuli, prelude=2)
     down = [request(row(model, "al_state", name)) for name in ("INIT", "PREOP")]
     title = "counters start afresh with the mailbox"
     yield case_in(model, "mailbox/restart", title, [ask, *down, ask, ask])

@@ -32,9 +32,13 @@ _LAST_SUBINDEX = (1 << 8) - 1
 def sdo_cover(model: Model, limits: Limits) -> Iterator[Case]:
     """Yield the cases, in the order of the dictionary and of the texts."""
     for entry in model.protocol.objects:
-        yield case_in(
-            model, f"sdo/upload/{entry_name(entry)}", "upload", read(entry.index, entry.subindex)
-        )
+        stimuli = read(entry.index, entry.subindex)
+        state = entry.read_states[0] if entry.read_states else "PREOP"
+        yield case_in(model, f"sdo/upload/{entry_name(entry)}", "upload", stimuli, state=state)
+        for other in WAY_UP[1:]:
+            if entry.read_states and other not in entry.read_states:
+                name = f"sdo/upload_in_{other}/{entry_name(entry)}"
+                yield case_in(model, name, f"upload in {other}", stimuli, state=other)
     for entry in model.protocol.objects:
         yield from _downloads(model, limits, entry)
     yield from _missing(model)

@@ -221,6 +221,10 @@ def _interruptions(model: Model, limits: Limits, target: ObjectEntry) -> Iterato
                 segment(value[: min(7, size)], toggle=True, last=True),
             ],
         ),
+        "malformed_in_transfer": (
+            "segments after a malformed one in the middle of a download",
+            [begin, first, _cut_short(model, second), second, three],
+        ),
         "wrong_second_toggle": (
             "toggle bit does not alternate",
             [begin, first, segment_with(second, toggle=0)],
@@ -338,6 +342,12 @@ def _interruptions(model: Model, limits: Limits, target: ObjectEntry) -> Iterato
         yield case_in(model, f"sdo/transfer/{name}", title, looked, feature=feature)
 
 
+def _cut_short(model: Model, stimulus: SendFrame) -> SendFrame:
+    """Give a segment whose message ends after its command byte."""
+    header = model.codec.size("coe") + 1
+    return SendFrame(stimulus.frame, {**stimulus.fields, "length": header})
+
+
 def _unknown_commands(model: Model) -> list[int]:
     table = model.protocol.tables["client_command"]
     known = {r.value for r in table.rows}
@@ -361,6 +371,10 @@ def _uploads(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]
     runs: dict[str, tuple[str, list[Stimulus]]] = {
         "upload_whole": ("upload in segments", [ask, SendSegments()]),
         "upload_wrong_first_toggle": ("first toggle bit of an upload is 1", [ask, turned]),
+        "upload_malformed": (
+            "segment requests after a malformed one in the middle of an upload",
+            [ask, get, _cut_short(model, turned), turned],
+        ),
         "upload_wrong_second_toggle": (
             "toggle bit of an upload does not alternate",
             [ask, get, get],
@@ -413,4 +427,6 @@ def _feature(name: str) -> str:
         return "repeat"
     if name.startswith("unknown_command"):
         return name
+    if "malformed" in name:
+        return "malformed"
     return "mailbox_restart" if name.endswith("over_init") else ""

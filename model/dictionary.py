@@ -71,7 +71,7 @@ class ObjectDictionary:
             "complete_size": lambda _, a: self._complete_size(_number(a[0]), _number(a[1])),
             "complete_value": self._complete_value,
             "complete_in_range": lambda _, a: self._complete_in_range(*a),
-            "complete_readable": lambda _, a: self._complete_readable(*a),
+            "complete_readable": self._complete_readable,
             "complete_writable": self._complete_writable,
             "object_list": lambda _, a: self._object_list(_number(a[0])),
             "object_code_of": lambda _, a: self._object_code(_number(a[0])),
@@ -104,18 +104,18 @@ class ObjectDictionary:
 
     # --- access -----------------------------------------------------------------------------------
 
-    def _in_state(self, entry: ObjectEntry, state: Value) -> Value:
-        if not entry.states:
+    def _in_state(self, states: tuple[str, ...], state: Value) -> Value:
+        if not states:
             return True
         if isinstance(state, Pattern):
             return UNKNOWN
-        return state in {self._states[name] for name in entry.states}
+        return state in {self._states[name] for name in states}
 
-    def _readable(self, entry: ObjectEntry, _: Value) -> Value:
-        return entry.access is not Access.WRITE
+    def _readable(self, entry: ObjectEntry, state: Value) -> Value:
+        return entry.access is not Access.WRITE and self._in_state(entry.read_states, state)
 
     def _writable(self, entry: ObjectEntry, state: Value) -> Value:
-        return _writable(entry) and self._in_state(entry, state)
+        return _writable(entry) and self._in_state(entry.states, state)
 
     # --- one entry --------------------------------------------------------------------------------
 
@@ -180,7 +180,7 @@ class ObjectDictionary:
         content, mask = b"", b""
         for entry, size in self._layout(index, first):
             known = None
-            if entry.access is not Access.WRITE:
+            if self._readable(entry, self._al_state(environment)) is True:
                 value = self._value_of(entry, environment, ())
                 known = value if isinstance(value, bytes) else None
             if self._exact:
@@ -191,14 +191,21 @@ class ObjectDictionary:
             return content
         return Pattern(lengths=(len(content), len(content)), content=content, mask=mask)
 
-    def _complete_readable(self, index: Value, first: Value) -> Value:
-        layout = self._layout(_number(index), _number(first))
-        return all(entry.access is not Access.WRITE for entry, _ in layout)
+    def _complete_readable(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        return self._complete_right(self._readable, environment, arguments)
 
     def _complete_writable(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        return self._complete_right(self._writable, environment, arguments)
+
+    def _complete_right(
+        self,
+        right: Callable[[ObjectEntry, Value], Value],
+        environment: Environment,
+        arguments: tuple[Value, ...],
+    ) -> Value:
         now = self._al_state(environment)
         layout = self._layout(_number(arguments[0]), _number(arguments[1]))
-        rights = [self._writable(entry, now) for entry, _ in layout]
+        rights = [right(entry, now) for entry, _ in layout]
         return UNKNOWN if any(isinstance(r, Pattern) for r in rights) else all(rights)
 
     def split(

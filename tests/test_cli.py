@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from importlib import resources
 from typing import TYPE_CHECKING
 
+import click
 import pytest
 from click.testing import CliRunner
 
@@ -22,6 +23,8 @@ from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import HANG_TIMEOUT
 from ecatspec.conformance.devices import machine_sheets, sheets
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
+from ecatspec.generators.case import DEPTHS
+from ecatspec.generators.suite import all_cases
 from ecatspec.spec.language.load import device_names, load_device, load_faults, load_standard
 
 if TYPE_CHECKING:
@@ -138,7 +141,10 @@ def test_version(call: Call) -> None:
 
 
 def test_the_depths_are_those_of_the_runner() -> None:
-    assert set(cli.DEPTHS) == set(runner.EXAMPLES)
+    (option,) = [p for p in cli.cli.commands["run"].params if p.name == "depth"]
+    assert isinstance(option.type, click.Choice)
+    assert tuple(option.type.choices) == DEPTHS
+    assert set(DEPTHS) == set(runner.EXAMPLES)
 
 
 # --- wrong input: one line on stderr, status 2 ----------------------------------------------------
@@ -451,11 +457,10 @@ def test_mailbox_sizes_reach_the_runner(call: Call, played: Played, size: str) -
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Real runs, of few cases."""
-    every = runner.all_cases
 
     def chosen(model: Model, limits: Limits, depth: str) -> Iterator[Case]:
         assert depth == "quick"
-        for case in every(model, limits, depth):
+        for case in all_cases(model, limits, depth):
             if case.name.startswith("sdo/transfer/wrong_"):
                 yield case
 

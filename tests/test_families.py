@@ -137,7 +137,8 @@ def spots(model: Model, frame: str, data: bytes) -> dict[tuple[str, str], tuple[
                 width = 8 * len(content)
             found[layout, field.name] = (start, width)
             start += width
-        start -= width if layout != frame else 0  # what lies inside begins where the body does
+        if layout != frame:  # what lies inside begins where the body does
+            start = found[layout, model.protocol.frames[layout].fields[-1].name][0]
     return found
 
 

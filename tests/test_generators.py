@@ -30,17 +30,51 @@ from ecatspec.generators.transition_cover import transition_cover
 from ecatspec.model import subdevice
 from ecatspec.model.compiled import Model, rows_of
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.spec.language.ir import Pin
+from ecatspec.spec.language.ir import Literal, Pin
 from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Expression, Protocol
 
-GOLDEN: dict[str, dict[str, int]] = {}
+GOLDEN = {
+    "kollmorgen-akd": {
+        "transitions": 620,
+        "mailbox": 46,
+        "sdo": 606,
+        "transfers": 669,
+        "complete": 256,
+        "information": 155,
+        "families": 491,
+        "quick": 1596,
+    },
+    "reference": {
+        "transitions": 544,
+        "mailbox": 46,
+        "sdo": 373,
+        "transfers": 565,
+        "complete": 204,
+        "information": 119,
+        "families": 485,
+        "quick": 2045,
+    },
+    "standard": {
+        "transitions": 544,
+        "mailbox": 44,
+        "sdo": 28,
+        "transfers": 18,
+        "complete": 12,
+        "information": 26,
+        "families": 491,
+        "quick": 1151,
+    },
+}
 """Cases of each generator and of a quick run: a change of a text changes them knowingly."""
 SIZES = ("34", "128", "1486")
+OF_HEADERS = {"service_unknown", "routing_value", "channel_set", "counter_edge", "garbage_after"}
+"""Flags of what lies around a frame, so that the frame matters little."""
 TOO_LONG = {"length_beyond"}
 """Flags of cases whose messages need not fit into the mailbox."""
 
@@ -135,7 +169,7 @@ def test_every_stimulus_fits_its_register_or_its_mailbox(device: str, mailbox: s
                     announced = model.decode(data)
                     assert announced is None or announced.trail[0] == "mailbox" or case.flag
                     flags.add(case.flag)
-    assert TOO_LONG <= flags
+    assert flags >= TOO_LONG
 
 
 @each_device
@@ -156,18 +190,36 @@ MACHINES = ("mailbox", "coe", "sdo", "sdo_information", "emergency")
 REFERENCE = "reference"
 LONG = 60
 """Cases with more stimuli are the same over and over."""
-FEW = 3
+FEW = 2
 """So many cases of one kind are tried in a device that differs in one point."""
-KINDS = 25
+KINDS = 15
+ENTRIES = 6
+WHOLE = {"sdo/transfer", "mailbox", "sdo/complete_upload", "sdo/upload"}
+LEAST = 10
 TOGETHER: tuple[dict[str, str | bool], ...] = (
     {"reply_counter": "zero", "repeat_service": "absent"},
     {"size_judged_late": True, "size_judged_now": False},
+    {"partial_refused": True, "odd_aborted": True, "unclear_answered": True},
 )
 """Points that matter only together."""
 
-UNCERTAIN: dict[str, str] = {}
+UNCERTAIN = {
+    "emergency.emergency_lost": "nothing is seen of an emergency that is not sent",
+    "mailbox.nothing_to_repeat": "changes nothing and owes nothing",
+    "mailbox.read_by_main_device": "owes nothing, and every explanation may have had it later",
+    "sdo.value_of_wrong_size": "the same abort as `segment_of_wrong_size`, a message later",
+}
 """Rules that fire in a device, while what is seen of it has another explanation too."""
-NEVER: dict[str, str] = {}
+NEVER = {
+    "mailbox.beyond_unheard": "no case sends what is too long in INIT",
+    "sdo.download_segment_unclear_erred": "no case sends a segment after a malformed request",
+    "sdo.upload_segment_unclear": "no case asks for a segment after a malformed request",
+    "sdo.upload_segment_unclear_erred": "the same",
+    "sdo.upload_segment_unclear_sent": "the same",
+    "sdo.upload_wrong_state": "dead: reading never depends on the AL state in the language",
+    "sdo_information.description_fragment": "the virtual SubDevice puts a description into one",
+    "sdo_information.description_goes_on": "the same",
+}
 """Rules that no case fires in any of the devices."""
 
 Way = dict[str, "str | bool"]
@@ -187,7 +239,11 @@ class Excited(VirtualAdapter):
 
     def write(self, address: int, data: bytes) -> int:
         counter = super().write(address, data)
-        parameters = {"error_code": 0x1000, "error_register": 1, "manufacturer": bytes(5)}
+        parameters: dict[str, Value] = {
+            "error_code": 0x1000,
+            "error_register": 1,
+            "manufacturer": bytes(5),
+        }
         self._device.happen("emergency", "arises", parameters)
         return counter
 
@@ -215,6 +271,12 @@ def changed(protocol: Protocol, way: Way) -> Protocol:
             condition = replace(protocol.conditions[name], assumed=value)
             protocol = replace(protocol, conditions={**protocol.conditions, name: condition})
     return protocol
+
+
+def with_least_transfers(protocol: Protocol) -> Protocol:
+    """Texts in which no transfer may be longer than a few bytes."""
+    parameter = replace(protocol.parameters["longest_transfer"], value=(Literal(LEAST),))
+    return replace(protocol, parameters=protocol.parameters | {"longest_transfer": parameter})
 
 
 def ways(protocol: Protocol) -> list[Way]:
@@ -281,12 +343,29 @@ class Sweep:
 
 
 def brief(cases: tuple[Case, ...], *layers: str) -> list[Case]:
-    """The cases of these machines, without the proof of life at the end."""
+    """The cases of these machines, without the proof of life at the end.
+
+    Of variants that every frame has, those of one frame of each machine; of cases that many
+    entries have, those of some entries.
+    """
+    groups: dict[tuple[str, ...], list[Case]] = {}
+    for case in cases:
+        if case.layer in layers and len(case.stimuli) <= LONG:
+            what, _, last = case.name.rpartition("/")
+            key = (case.layer, last) if case.flag in OF_HEADERS else (what,)
+            alive = case.stimuli[-1] == Probe()
+            done = replace(case, stimuli=case.stimuli[:-1] if alive else case.stimuli)
+            groups.setdefault((case.name,) if what in WHOLE else key, []).append(done)
     return [
-        replace(case, stimuli=case.stimuli[:-1]) if case.stimuli[-1] == Probe() else case
-        for case in cases
-        if case.layer in layers and len(case.stimuli) <= LONG
+        case
+        for (what, *others), found in groups.items()
+        for case in spread(found, 1 if others else len(found) if "/sdo_" in what else ENTRIES)
     ]
+
+
+def spread(cases: list[Case], most: int) -> list[Case]:
+    """Some of many, from the first to the last."""
+    return cases[:: max(1, -(-len(cases) // most))]
 
 
 @pytest.fixture
@@ -327,12 +406,16 @@ def test_the_cases_fire_every_rule_in_some_device(inside: set[str]) -> None:
     told = brief(cases_of(REFERENCE, "default", "34"), "sdo_information")
     Sweep(fired, small, Model(small), inside).run(told, {})
     unknown = [case for case in cases if not case.name.startswith("sdo/transfer/")]
-    unknown = [case for case in unknown if not case.flag and case.layer != "mailbox"]
+    unknown = [case for case in unknown if not case.flag and case.layer not in {"mailbox", "coe"}]
     Sweep(fired, protocol, Model(load("standard")), inside).run(unknown, {}, closed=False)
+    short = [case for case in unknown if case.name.startswith("sdo/complete_upload/")]
+    both: Way = {"complete_expedited": True, "variable_complete_served": True}
+    Sweep(fired, protocol, Model(load("standard")), inside).run(short, both, closed=False)
+    limited = with_least_transfers(protocol)
+    reads = [case for case in cases if case.name.startswith("sdo/upload/")]
+    Sweep(fired, limited, Model(limited), inside).run(reads, {})
 
     assert fired.blamed == []
     rules = {f"{name}.{rule.name}" for name in MACHINES for rule in protocol.machines[name].rules}
-    print(sorted((rules - fired.certain) & fired.inside))
-    print(sorted((rules - fired.certain) - fired.inside))
     assert (rules - fired.certain) & fired.inside == set(UNCERTAIN)
     assert (rules - fired.certain) - fired.inside == set(NEVER)

@@ -291,6 +291,10 @@ def found(result: Result) -> dict[str, set[tuple[str, str]]]:
     }
 
 
+alone = pytest.mark.xdist_group("canopen")
+"""All on one worker, so that the run is made once."""
+
+
 @pytest.fixture(scope="module")
 def canopen() -> Result:
     if importlib.util.find_spec("canopen") is None:
@@ -298,12 +302,14 @@ def canopen() -> Result:
     return run_device("reference", "canopen", depth="quick")
 
 
+@alone
 def test_canopen_has_the_findings_that_were_checked_by_hand_and_no_other(canopen: Result) -> None:
     explained = found(canopen)
     assert {case for case, rows in explained.items() if not rows} == set()
     assert set(FOUND) - set().union(*explained.values()) == set()
 
 
+@alone
 def test_what_frames_of_canopen_do_not_carry_is_skipped_and_said(canopen: Result) -> None:
     words = {
         verdict.reason.rpartition(": ")[2].partition(",")[0]
@@ -318,6 +324,7 @@ def test_what_frames_of_canopen_do_not_carry_is_skipped_and_said(canopen: Result
     assert all(what.endswith("value empty") for what in begun)
 
 
+@alone
 def test_canopen_dies_of_an_unknown_command_as_first_request(canopen: Result) -> None:
     (verdict,) = [v for v in canopen.verdicts if v.case == "sdo/unknown_command/7"]
     assert verdict.outcome is Outcome.CRASH
@@ -326,6 +333,7 @@ def test_canopen_dies_of_an_unknown_command_as_first_request(canopen: Result) ->
     assert "struct.error" in verdict.observed
 
 
+@alone
 def test_canopen_knows_a_subindex_of_a_plain_variable(canopen: Result) -> None:
     (verdict,) = [v for v in canopen.verdicts if v.case == "sdo/no_subindex/upload/1000_01"]
     assert verdict.outcome is Outcome.FAIL
@@ -333,6 +341,7 @@ def test_canopen_knows_a_subindex_of_a_plain_variable(canopen: Result) -> None:
     assert verdict.observed.startswith("sdo_upload_expedited")
 
 
+@alone
 def test_every_finding_of_canopen_is_short(canopen: Result) -> None:
     lengths = {f.verdict.case: len(f.verdict.trace) for f in canopen.findings()}
     # a transfer in frames of eight bytes is as long as its value

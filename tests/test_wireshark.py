@@ -424,9 +424,10 @@ def bytes_of(frame: str, numbers: Mapping[str, Value], free: int) -> dict[str, b
             length = field.type.length
             if length is not None and not (isinstance(length, Name) and length.path == COUNTED):
                 size = compile_expression(length, lookup, PLAIN)(Environment((), {}, known))
-                free -= size if COUNTED in names_in(length) else 0
             assert isinstance(size, int)
             found[field.name] = pattern(size)
+            if length is not None and COUNTED in names_in(length):
+                free -= size  # for what comes behind
     return found
 
 

@@ -947,7 +947,7 @@ class _Checker:
         rows = {row.name for table in self._protocol.tables.values() for row in table.rows}
         for entry in self._protocol.objects:
             what = f"object {entry.index:#06x}:{entry.subindex} `{entry.name}`"
-            for state in entry.states:
+            for state in (*entry.states, *entry.read_states):
                 if state not in rows:
                     self._missing("state", state, rows, entry.at)
             problem = self._problem(entry)

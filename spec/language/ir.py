@@ -511,7 +511,11 @@ class Machine:
 
 @dataclass(frozen=True, slots=True)
 class ObjectEntry:
-    """One entry of the object dictionary. `states`: AL states of access, empty for all."""
+    """One entry of the object dictionary.
+
+    `states` are the AL states in which it can be written, `read_states` those in which it can be
+    read; empty for all.
+    """
 
     index: int
     subindex: int
@@ -521,6 +525,7 @@ class ObjectEntry:
     constant: bool = False
     volatile: bool = False
     states: tuple[str, ...] = ()
+    read_states: tuple[str, ...] = ()
     low: int | None = None
     high: int | None = None
     default: int | str | None = None

@@ -469,6 +469,7 @@ class _Builder:
         kind, access = self._type(children.tree()), Access(children.word())
         marks = {_Children(mark, at).word() for mark in children.all("mark")}
         states = tuple(children.words("NAME"))
+        readable = children.given("readable")
         low, high = children.optional_tree(), children.optional_tree()
         default = children.optional_tree()
         preset: int | str | None = None
@@ -484,6 +485,7 @@ class _Builder:
             constant="constant" in marks,
             volatile="volatile" in marks,
             states=states,
+            read_states=() if readable is None else tuple(_Children(readable, at).words("NAME")),
             low=None if low is None else self._signed(low),
             high=None if high is None else self._signed(high),
             default=preset,

@@ -303,6 +303,7 @@ def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
         entry.access.value,
         " ".join(marks),
         f"in {{ {', '.join(entry.states)} }}" if entry.states else "",
+        f"readable in {{ {', '.join(entry.read_states)} }}" if entry.read_states else "",
         "" if entry.low is None else f"range {entry.low} .. {entry.high}",
         default or "",
         _ids(entry.clauses),

@@ -104,7 +104,8 @@ def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
     beyond = SendFrame(ask.frame, {**ask.fields, "length": model.parameter("maximal_mailbox")})
     stimuli = (*mailbox_settings(model), beyond)
     title = "a message in INIT that is too long for the mailbox"
-    yield Case("mailbox/beyond_in_INIT", title, "mailbox", stimuli, prelude=2)
+    flag = "length_beyond"
+    yield Case("mailbox/beyond_in_INIT", title, "mailbox", stimuli, prelude=2, flag=flag)
     down = [request(row(model, "al_state", name)) for name in ("INIT", "PREOP")]
     title = "counters start afresh with the mailbox"
     yield case_in(model, "mailbox/restart", title, [ask, *down, ask, ask])

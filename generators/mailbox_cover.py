@@ -142,6 +142,10 @@ def _repeats(model: Model, ask: SendFrame) -> Iterator[Case]:
             "repeat while a newer reply is unread",
             [ask, replace(other, unread=True), again, ask],
         ),
+        "repeat_queued": (
+            "repeat while a reply is unread and a request waits behind it",
+            [ask, left, replace(other, unread=True), again, ask],
+        ),
         "repeat_nothing": ("repeat before anything was sent", [again, ask]),
         "repeat_first_unread": ("repeat while the first reply is unread", [left, again, other]),
         "repeat_twice": ("repeat twice", [ask, again, again, other]),

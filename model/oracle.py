@@ -622,11 +622,13 @@ class Oracle:
                 for pending in candidate.inbox
             ):
                 found[candidate] = history
-            first: set[str] = set()
+            first: set[tuple[str, bool]] = set()
             for position, pending in enumerate(candidate.inbox):
-                if pending.event.machine in first:
+                # a message waits for the answer before it, a register does not
+                lane = pending.event.machine, bool(pending.event.trail)
+                if lane in first:
                     continue
-                first.add(pending.event.machine)
+                first.add(lane)
                 rest = candidate.inbox[:position] + candidate.inbox[position + 1 :]
                 work += self._served(candidate, pending.event, rest, history)
         return found

@@ -28,6 +28,7 @@ from rich.table import Table
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.session import Session
+from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.model.compiled import Model
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
@@ -176,7 +177,7 @@ def exchanges(protocol: Protocol) -> list[Row]:
     """Compare checked with bare exchanges: in the process, then with the device in another."""
     model = Model(protocol)
     model.dictionary.close()  # as a run does for a device that is made of the text
-    cases = [case for case in sdo_cover(model) if case.name.startswith(CASES)]
+    cases = [case for case in sdo_cover(model, NO_LIMITS) if case.name.startswith(CASES)]
     recorder, recording = Recorder(VirtualSubDevice(protocol)), RecordingOracle(model)
     recorded = Session(cast("Adapter", recorder), model, recording)
     check(recorded, cases)

@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
 
-Refusal: TypeAlias = Callable[["ObjectKey", bytes], str]
+Refusal: TypeAlias = Callable[["ObjectKey", bytes | None], str]
 """Give the row of the abort codes with which an application refuses a value, or nothing."""
 
 _NODE: Final = 1
@@ -120,6 +120,7 @@ class SdoServer:
         self._network = _Network()
         node: Any = canopen.LocalNode(_NODE, object_dictionary(protocol))
         node.associate_network(self._network)
+        node.add_read_callback(self._on_read)
         node.add_write_callback(self._on_write)
         self._identifier: int = node.sdo.rx_cobid
 
@@ -129,8 +130,14 @@ class SdoServer:
         self._network.notify(self._identifier, bytearray(request[:_FRAME]), 0.0)
         return self._network.sent
 
+    def _on_read(self, *, od: ODVariable, **_: object) -> None:
+        self._refuse((od.index, od.subindex), None)
+
     def _on_write(self, *, od: ODVariable, data: bytes, **_: object) -> None:
-        name = self._refusal((od.index, od.subindex), data)
+        self._refuse((od.index, od.subindex), data)
+
+    def _refuse(self, key: ObjectKey, data: bytes | None) -> None:
+        name = self._refusal(key, data)
         if name:
             rows = self._protocol.tables["sdo_abort_code"].rows
             raise canopen.SdoAbortedError(next(row.value for row in rows if row.name == name))
@@ -175,11 +182,14 @@ class _Node:
     def serve(self, request: bytes) -> list[bytes]:
         return self._server(request)
 
-    def _refusal(self, key: ObjectKey, data: bytes) -> str:
-        writable_now = self.device.model.dictionary.functions["writable_now"]
-        if not writable_now(Environment(self.device.state.slots, {}, {}), key):
+    def _refusal(self, key: ObjectKey, data: bytes | None) -> str:
+        """Tell why the application refuses a write of `data`, or a read; empty: it does not."""
+        right = "readable_now" if data is None else "writable_now"
+        holds = self.device.model.dictionary.functions[right]
+        if not holds(Environment(self.device.state.slots, {}, {}), key):
             return "present_device_state"
-        return "length_too_high" if len(data) > self._most.get(key, len(data)) else ""
+        too_long = data is not None and len(data) > self._most.get(key, len(data))
+        return "length_too_high" if too_long else ""
 
 
 def object_dictionary(protocol: Protocol) -> ObjectDictionary:

@@ -122,7 +122,8 @@ class RecordingOracle(Oracle):
         self.calls.append(("observe", (exchange,)))
         return super().observe(exchange)
 
-    def settled(self, time: int) -> bool:
+    def settled(self, time: int, *, unread: bool = False) -> bool:
+        assert not unread, "the cases of the benchmark read every answer"
         self.calls.append(("settled", (time,)))
         return super().settled(time)
 

@@ -286,7 +286,7 @@ def _report(results: Sequence[Result], protocol: Protocol, *, as_json: bool) -> 
         return DOES_NOT_CONFORM
     troubles = [v for result in results for v in result.verdicts if v.outcome is Outcome.ERROR]
     if troubles:
-        what = f"the adapter failed in {len(troubles)} cases ({troubles[0].reason})"
+        what = f"{len(troubles)} cases could not be judged ({troubles[0].reason})"
         _refuse(f"{what}; see the report, repair the set-up and run again")
     if not any(map(judged, results)):
         _refuse("nothing could be judged; the report says why")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias, assert_never
 
+from ecatspec.model.compiled import Model
 from ecatspec.spec.language.ir import (
     Area,
     Binary,
@@ -71,20 +72,21 @@ def load(name_or_path: str, mailbox: str = "") -> Protocol:
 
 
 def _resized(protocol: Protocol, mailbox: str) -> Protocol:
-    limits = [protocol.parameters[f"{word}_mailbox"].value[0] for word in ("minimal", "maximal")]
-    low, high = (limit.value for limit in limits if isinstance(limit, Literal))
+    model = Model(protocol)
+    low, high = (model.parameter(f"{word}_mailbox") for word in ("minimal", "maximal"))
     words = mailbox.split(":")
     sizes = [int(word) for word in words if word.isascii() and word.isdigit()]
     if not 1 <= len(words) == len(sizes) <= _MAILBOXES or not all(low <= n <= high for n in sizes):
         message = f"{mailbox!r} is no mailbox size; give SIZE or OUT:IN in bytes, {low} to {high}"
         raise UserError(message)
     out, back = (protocol.parameters[name] for name in ("mailbox_out", "mailbox_in"))
-    starts = [part.value[0] for part in (out, back)]
-    first, second = (start.value for start in starts if isinstance(start, Literal))
+    first, second = (model.parameter(part.name, "start") for part in (out, back))
     if first < second:
         second = max(second, -(-(first + sizes[0]) // _ALIGNMENT) * _ALIGNMENT)
     else:
         first = max(first, -(-(second + sizes[-1]) // _ALIGNMENT) * _ALIGNMENT)
+    if max(first + sizes[0], second + sizes[-1]) > model.parameter("memory_size"):
+        raise UserError(f"mailboxes of {mailbox} do not fit into the memory; give smaller sizes")
     areas = {
         part.name: replace(part, value=(Literal(start, 4), Literal(size)))
         for part, start, size in ((out, first, sizes[0]), (back, second, sizes[-1]))

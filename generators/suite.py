@@ -57,7 +57,10 @@ def _kinds(model: Model) -> dict[str, object]:
         objects.setdefault(entry.index, []).append(entry)
     kinds: dict[str, object] = {}
     for index, entries in objects.items():
-        own = {e.subindex: (e.type, e.access, e.states, e.constant, e.low is None) for e in entries}
+        own = {
+            e.subindex: (e.type, e.access, e.states, e.read_states, e.constant, e.low is None)
+            for e in entries
+        }
         kinds |= {f"{index:04X}_{subindex:02X}": kind for subindex, kind in own.items()}
         shape = tuple(dict.fromkeys(own.values())), len(entries) > 1
         kinds[f"{index:04X}"] = shape

@@ -190,7 +190,7 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
     """
     if output.again is not None:
         before = model.decode(output.again)
-        same = before is not None and before.fields == message.fields
+        same = not output.again or (before is not None and before.fields == message.fields)
         return [Step(state, (), (), 0)] if same else []
     if output.frame not in message.trail:
         return []

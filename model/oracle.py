@@ -16,6 +16,7 @@ from ecatspec.model.dictionary import CROWDED
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import (
+    afterwards,
     differing,
     expected_fields,
     later_fields,
@@ -176,8 +177,8 @@ class Oracle:
     def may_be(self, machine: str, state: str) -> bool:
         """Tell whether a machine may be in a state, by its name."""
         slot = self.model.slots[f"{machine}.state"]
-        values = self.model.state_names(machine)
-        return any(values.get(c.state.slots[slot]) == state for c in self.candidates)  # type: ignore[arg-type]
+        names = {name: value for value, name in self.model.state_names(machine).items()}
+        return any(c.state.slots[slot] == names[state] for c in self.candidates)
 
     def due_rules(self) -> tuple[RuleName, ...]:
         """Give the rules that may serve the inputs that the device has."""
@@ -202,8 +203,13 @@ class Oracle:
         if area is None or not address < area[0] + area[1] <= address + length:
             return
         for candidate, history in self._expanded(-1).items():
-            for taken in (candidate, replace(candidate, outbox=candidate.outbox[1:])):
-                self.candidates.setdefault(taken, history)
+            self.candidates.setdefault(candidate, history)
+            if candidate.outbox:
+                # the reply is gone, and with it what its fields would have told
+                due, *rest = candidate.outbox
+                for taken in afterwards(self.model, candidate.state, due, {}):
+                    left = replace(self._left(candidate, taken, tuple(rest), 0), last=None)
+                    self.candidates.setdefault(left, history + taken.rules)
 
     def forget_history(self) -> None:
         """Keep only the last rule of each machine in each history, for runs without end."""
@@ -653,9 +659,9 @@ class Oracle:
                 if due[0].frame != REFUSAL:
                     continue
                 outbox = due + candidate.outbox
-            if taken.resend is not None and candidate.last is not None:
+            if taken.resend is not None:
                 again = Output(
-                    MAILBOX, (), taken.resend, again=candidate.last, chain=(taken.resend,)
+                    MAILBOX, (), taken.resend, again=candidate.last or b"", chain=(taken.resend,)
                 )
                 outbox = (again, *outbox)
             after = replace(

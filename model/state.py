@@ -67,7 +67,7 @@ class Output:
 
     `given` are the parameters of the rule's input where the rule goes on once the frame is fixed.
     `within`: how long the device may take once nothing is before it. `again` holds the bytes
-    of a message that is repeated.
+    of a message that is repeated; empty where they were not seen.
     """
 
     frame: str

@@ -12,11 +12,11 @@ from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.generators.bringup import WAY_UP, request, row, way_to
 from ecatspec.generators.case import Probe, Repeat, SendFrame, SendSegments, WriteRegister
-from ecatspec.generators.transfers import download, upload
+from ecatspec.generators.transfers import download, normal_download, upload, upload_segment
 from ecatspec.model import subdevice
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle import Exchange, Oracle
 from ecatspec.model.state import Event
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, concrete
@@ -386,7 +386,8 @@ def test_a_wrong_power_on_value_cites_its_clause() -> None:
 
 # --- freedom: what the texts leave open is never blamed -------------------------------------------
 
-REFERENCE = load_device("reference")
+REFERENCE = replace(load_device("reference"), pins={})
+"""Every choice of the standard open, as before a device has shown its ways."""
 JUDGE = Model(REFERENCE)
 JUDGE.dictionary.close()
 OPEN = replace(REFERENCE, dictionary=replace(REFERENCE.dictionary, closed=False))
@@ -846,3 +847,40 @@ def test_a_busy_device_that_is_too_late_is_blamed(
     device.take, device.answer = take, answer
     monkeypatch.setitem(STIMULI, "crowd", CROWD)
     assert blamed(device, JUDGE, "crowd")
+
+
+# --- what a capture has lost ----------------------------------------------------------------------
+
+
+class Deaf(Session):
+    """A session whose first mailbox reads the oracle does not see, only that they may have been."""
+
+    unheard = 1
+
+    def _observe(self, exchange: Exchange) -> None:
+        place = self.model.parameter("mailbox_in", "start")
+        if self.unheard and exchange.address == place and not exchange.write:
+            self.unheard -= 1
+            self.oracle.perhaps_read(exchange.address, len(exchange.data))
+            return
+        super()._observe(exchange)
+
+
+@pytest.mark.parametrize(
+    "stimuli",
+    [
+        (upload(0x2023, 0), *(upload_segment(toggle=bool(n % 2)) for n in range(3)), ASK),
+        (upload(0x2003, 0), Repeat(), ASK),
+        (*normal_download(MODEL, (0x2023, 0), b"x" * 20, first=0, piece=10), ASK),
+        (SendFrame("information_list_request", {"list_type": 1}), ASK),
+    ],
+)
+def test_an_answer_that_was_not_captured_blames_nobody(stimuli: tuple[Stimulus, ...]) -> None:
+    reference = load_device("reference")
+    model = Model(reference)
+    adapter = Faulty(VirtualSubDevice(reference))
+    session = Deaf(adapter, model, Oracle(model))
+    session.begin(SHAPE)
+    for stimulus in (*way_to(model, "PREOP"), *stimuli):
+        session.apply(stimulus)
+    assert not session.unheard

@@ -239,7 +239,7 @@ def test_a_fault_is_found_and_its_run_is_short(fault: str) -> None:
     Faulty.fault = fault
     search = settings(
         SEARCH,
-        max_examples=400,
+        max_examples=2000,
         database=None,
         derandomize=True,
         print_blob=False,

@@ -46,7 +46,7 @@ from ecatspec.spec.language.ir import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.spec.language.ir import Expression, Input, Machine, Protocol
+    from ecatspec.spec.language.ir import Expression, Input, Protocol
 
 # --- what a name can stand for -------------------------------------------------------------------
 
@@ -356,11 +356,6 @@ def input_of(protocol: Protocol, scope: Scope) -> Input | None:
     machine = protocol.machines.get(scope.machine or "")
     inputs = () if machine is None else machine.inputs
     return next((item for item in inputs if item.name == scope.input), None)
-
-
-def input_parameters(protocol: Protocol, machine: Machine, name: str) -> dict[str, Type]:
-    """What a rule on this input can read, with its type: what all origins of it have in common."""
-    return _parameters(protocol, Scope(machine.name, name))
 
 
 def frame_fields(protocol: Protocol, name: str) -> dict[str, Type]:

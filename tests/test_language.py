@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ecatspec.spec.language.check import check_protocol, check_texts, check_words, unused
+from ecatspec.spec.language.check import check_protocol, check_words
+from ecatspec.spec.language.check_texts import check_texts, unused
 from ecatspec.spec.language.diagnostics import Code, SpecError
 from ecatspec.spec.language.ir import (
     Access,

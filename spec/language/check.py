@@ -2,52 +2,37 @@
 
 from __future__ import annotations
 
-import difflib
+import re
 from collections import Counter
-from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.spec.language.diagnostics import Code, Diagnostic
+from ecatspec.spec.language.check_texts import LAYOUT_WORDS
+from ecatspec.spec.language.diagnostics import Code, Diagnostic, near
 from ecatspec.spec.language.ir import (
     Access,
-    Anomaly,
     AnyValue,
     Area,
     Binary,
     Bool,
     Bytes,
     Call,
-    Choice,
-    Clause,
-    Close,
     CodeTable,
-    Condition,
     Conditional,
-    Definition,
-    Dictionary,
-    Example,
-    Extend,
-    Fault,
     Frame,
     Gap,
     In,
     Literal,
     Machine,
-    Manual,
     Name,
     Named,
     ObjectEntry,
     OneOf,
-    Parameter,
-    Pin,
-    Property,
     Range,
+    Reason,
     Register,
-    Remove,
-    Replace,
-    ReplaceField,
+    RegisterField,
     Rule,
-    SetParameter,
     SInt,
     Span,
     Text,
@@ -55,17 +40,22 @@ from ecatspec.spec.language.ir import (
     Type,
     UInt,
     Unary,
+    Word,
 )
 from ecatspec.spec.language.overlap import meaning
 from ecatspec.spec.language.parse import TIME_DIGITS
 from ecatspec.spec.language.scope import (
     COMPARISONS,
+    CYCLIC,
+    EDGES,
     FUNCTIONS,
     REPLY,
+    WITH_BEFORE,
     ChoiceRef,
     ConstantRef,
     DefinitionRef,
     Kind,
+    ParameterOfInput,
     Scope,
     UnresolvedName,
     VariableRef,
@@ -83,56 +73,25 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from ecatspec.spec.language.ir import (
         After,
-        Declaration,
         Expression,
         Give,
+        Input,
+        Later,
         Protocol,
         Send,
-        SourceText,
         Update,
     )
 
-_LAYOUT_WORDS: Final = ("reserved", "padding", "data")
-"""Names that several frames around each other may use: nobody refers to them."""
-
-_Statement: TypeAlias = (
-    Pin | Close | SetParameter | Replace | Remove | Extend | ReplaceField | Dictionary
-)
 _BITS: Final = 8
+_PLACE: Final = re.compile(r"\{[^{}]*\}")
+_WORDS: Final = "{words}"
+_PLACES: Final = ("{}", "{hex}", _WORDS)
+_TOLD: Final = (UInt, SInt, Bool, Named, ChoiceRef)
 _REPLY: Final = f"{REPLY}."
-
-
-def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
-    """What is wrong with the texts before they are put together: said twice, cited, not cited."""
-    declarations = [declaration for text in texts for declaration in text.declarations]
-    declared = {clause.id for clause in declarations if isinstance(clause, Clause)}
-    findings = [*_twice(texts), *_circles(declarations), *_in_vain(texts)]
-    for declaration in declarations:
-        for name, clauses, at in _citations(declaration):
-            if not clauses and name.startswith(("rule", "gap")):
-                findings.append(
-                    Diagnostic(
-                        Code.ECS105,
-                        at,
-                        f"{name} cites no clause",
-                        "add the clause that it comes from: [AL-03]",
-                    )
-                )
-            findings.extend(
-                Diagnostic(
-                    Code.ECS104,
-                    at,
-                    f"no text declares clause {clause}, which {name} cites",
-                    f"declare it{_near(clause, declared, ', or cite ')}",
-                )
-                for clause in clauses
-                if clause not in declared
-            )
-    return findings
 
 
 def check_protocol(protocol: Protocol) -> list[Diagnostic]:
@@ -150,219 +109,6 @@ def check_words(protocol: Protocol) -> list[Diagnostic]:
     checker.structure()
     checker.expressions()
     return checker.of_phase("1") or checker.of_phase("2")
-
-
-def _near(name: str, known: Iterable[str], before: str = "; did you mean ") -> str:
-    near = difflib.get_close_matches(name, sorted(set(known)), 1, 0.6)
-    return f"{before}`{near[0]}`" if near else ""
-
-
-def unused(texts: Sequence[SourceText]) -> list[Diagnostic]:
-    """Clauses that nothing cites and definitions that nothing uses: no error, but a question."""
-    declarations = [declaration for text in texts for declaration in text.declarations]
-    cited = {c for d in declarations for _, clauses, _ in _citations(d) for c in clauses}
-    used = {name for d in declarations for name in _names_used(d)}
-    return [
-        Diagnostic(
-            Code.ECS304,
-            d.at,
-            f"nothing uses {'clause ' + d.id if isinstance(d, Clause) else f'`{d.name}`'}",
-            "cite it or take it away",
-        )
-        for d in declarations
-        if (isinstance(d, Clause) and d.id not in cited)
-        or (isinstance(d, Definition) and d.name not in used)
-    ]
-
-
-def _names_used(node: object) -> Iterator[str]:
-    """All names in the expressions of a declaration, wherever they stand in it."""
-    if isinstance(node, Name):
-        yield node.path
-    elif isinstance(node, tuple):
-        for part in node:
-            yield from _names_used(part)
-    elif is_dataclass(node):
-        for field in fields(node):
-            yield from _names_used(getattr(node, field.name))
-
-
-# --- before the merge ----------------------------------------------------------------------------
-
-
-def _twice(texts: Sequence[SourceText]) -> Iterator[Diagnostic]:
-    """Declarations of one kind share one set of names, whatever text they stand in."""
-    seen: dict[tuple[str, str], Span] = {}
-    for text in texts:
-        owner = "" if text.extends is None else f"{text.name}: "
-        for declaration in text.declarations:
-            kind, name = _key(declaration)
-            local = isinstance(
-                declaration, (ObjectEntry, CodeTable, *_Statement.__args__)
-            )  # a device text may say these again
-            key = (kind, owner + name if local else name)
-            if key in seen:
-                yield _again(f"{kind} {name}", declaration.at, seen[key])
-            seen.setdefault(key, declaration.at)
-            yield from _twice_inside(declaration)
-
-
-def _again(what: str, at: Span, first: Span, code: Code = Code.ECS102) -> Diagnostic:
-    return Diagnostic(code, at, f"{what} stands already at {first}", "take one of them away")
-
-
-def _key(declaration: Declaration) -> tuple[str, str]:
-    match declaration:
-        case Clause() | Anomaly():
-            key = type(declaration).__name__.lower(), declaration.id
-        case Manual():
-            key = "manual", declaration.file
-        case CodeTable():
-            key = "table", declaration.name
-        case ObjectEntry():
-            key = "object", f"{declaration.index:#06x}:{declaration.subindex}"
-        case Pin():
-            key = "pin", declaration.choice
-        case Close():
-            key = "closed", declaration.table
-        case SetParameter():
-            key = "setting", declaration.name
-        case Replace() | Remove():
-            key = "change of rule", f"{declaration.machine}.{declaration.rule}"
-        case ReplaceField():
-            key = "change of field", f"{declaration.frame}.{declaration.name}"
-        case Extend():
-            key = "extension of machine", declaration.machine
-        case Dictionary():
-            key = "dictionary", ""
-        case (
-            Parameter()
-            | Register()
-            | Frame()
-            | Machine()
-            | Choice()
-            | Condition()
-            | Definition()
-            | Property()
-            | Example()
-            | Fault()
-        ):
-            key = type(declaration).__name__.lower(), declaration.name
-        case _:
-            assert_never(declaration)
-    return key
-
-
-def _twice_inside(declaration: Declaration) -> Iterator[Diagnostic]:
-    named: list[tuple[str, str, Span]] = []
-    match declaration:
-        case CodeTable():
-            named += [("row", row.name, row.at) for row in declaration.rows]
-            named += [("value", f"{row.value:#x}", row.at) for row in declaration.rows]
-        case Register():
-            named += [("field", field.name, field.at) for field in declaration.fields]
-        case Frame():
-            named += [
-                ("field", field.name, field.at)
-                for field in declaration.fields
-                if not field.name.startswith(_LAYOUT_WORDS)
-            ]
-        case Choice():
-            named += [("alternative", a.name, declaration.at) for a in declaration.alternatives]
-        case Machine() | Extend():
-            named += [("variable", v.name, v.at) for v in declaration.variables]
-            named += [("input", item.name, item.at) for item in declaration.inputs]
-            if isinstance(declaration, Machine):
-                named += [("state", state, declaration.at) for state in declaration.states]
-            rows: list[tuple[str, Span]] = [(rule.name, rule.at) for rule in declaration.rules]
-            rows += [(gap.name, gap.at) for gap in declaration.gaps]
-            first: dict[str, Span] = {}
-            for name, at in sorted(rows, key=lambda row: row[1]):
-                if name in first:
-                    what = f"a rule `{_key(declaration)[1]}.{name}`"
-                    yield _again(what, at, first[name], Code.ECS103)
-                first.setdefault(name, at)
-        case _:
-            pass
-    seen: dict[tuple[str, str], Span] = {}
-    for kind, name, at in named:
-        if (kind, name) in seen:
-            yield _again(f"{kind} `{name}`", at, seen[kind, name])
-        seen.setdefault((kind, name), at)
-
-
-def _circles(declarations: Iterable[Declaration]) -> Iterator[Diagnostic]:
-    """A definition that leads back to itself means nothing."""
-    definitions = {d.name: d for d in declarations if isinstance(d, Definition)}
-    for definition in definitions.values():
-        reached: set[str] = set()
-        waiting = [definition.value]
-        while waiting:
-            for name in names_in(waiting.pop()):
-                if name in definitions and name not in reached:
-                    reached.add(name)
-                    waiting.append(definitions[name].value)
-        if definition.name in reached:
-            yield Diagnostic(
-                Code.ECS101,
-                definition.at,
-                f"definition `{definition.name}` leads back to itself",
-                "write out what it means",
-            )
-
-
-def _in_vain(texts: Sequence[SourceText]) -> Iterator[Diagnostic]:
-    """What changes the standard stands in a device text, a fault in a text of faults."""
-    for text in texts:
-        for declaration in text.declarations:
-            kind, name = _key(declaration)
-            if isinstance(declaration, Fault) and not (declaration.quirk or declaration.changes):
-                yield Diagnostic(
-                    Code.ECS402,
-                    declaration.at,
-                    f"fault {name} is none: it changes nothing",
-                    "add a change of a rule or of a field, or a quirk",
-                )
-            if isinstance(declaration, Fault):
-                misplaced, place = not text.faults, "a text that begins with `faults`"
-            else:
-                statement = isinstance(declaration, _Statement.__args__)
-                misplaced = statement and text.extends is None
-                misplaced = misplaced and not isinstance(declaration, Dictionary)
-                place = "a text that begins with `device`"
-            if misplaced:
-                yield Diagnostic(
-                    Code.ECS402,
-                    declaration.at,
-                    f"{kind} {name} has no effect in this text",
-                    f"write it in {place}",
-                )
-
-
-def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...], Span]]:
-    """What cites clauses: its name, the clauses, its place."""
-    match declaration:
-        case Clause() | Manual():
-            return
-        case CodeTable():
-            for row in declaration.rows:
-                yield f"row `{row.name}`", row.clauses, row.at
-        case Machine() | Extend():
-            for rule in declaration.rules:
-                yield f"rule `{rule.name}`", rule.clauses, rule.at
-            for gap in declaration.gaps:
-                yield f"gap `{gap.name}`", gap.clauses, gap.at
-        case Register():
-            yield f"register `{declaration.name}`", declaration.clauses, declaration.at
-            for field in declaration.fields:
-                yield f"field `{field.name}`", field.clauses, field.at
-        case Fault():
-            yield f"fault {declaration.name}", declaration.clauses, declaration.at
-            for change in declaration.changes:
-                yield from _citations(change)
-        case _:
-            kind, name = _key(declaration)
-            yield f"{kind} {name}", declaration.clauses, declaration.at
 
 
 # --- after the merge -----------------------------------------------------------------------------
@@ -384,7 +130,7 @@ class _Checker:
 
     def _missing(self, kind: str, name: str, known: Iterable[str], at: Span) -> None:
         names = sorted(set(known))
-        remedy = f"declare it{_near(name, names, ', or write ')}"
+        remedy = f"declare it{near(name, names, ', or write ')}"
         self._note(Code.ECS106, at, f"there is no {kind} `{name}`", remedy)
 
     # --- structure: what must exist, what must fit ---
@@ -397,10 +143,13 @@ class _Checker:
             self._type(parameter.type, parameter.at)
         for register in self._protocol.registers.values():
             self._register(register)
+        self._words()
         for frame in self._protocol.frames.values():
             self._frame(frame)
         for machine in self._protocol.machines.values():
             self._machine(machine)
+        for reason in self._protocol.reasons.values():
+            self._reason_of(reason)
 
     def _table(self, table: CodeTable) -> None:
         for row in table.rows:
@@ -427,16 +176,42 @@ class _Checker:
                 f"the reset value does not fit the {bits} bits of `{register.name}`",
                 "make it smaller",
             )
+        self._bits(register.name, bits, register.fields)
+
+    def _words(self) -> None:
+        objects: dict[tuple[int, int], Word] = {}
+        for word in self._protocol.words.values():
+            self._bits(word.name, word.size * _BITS, word.fields)
+            for field in word.fields:
+                if field.name == CYCLIC:
+                    what = f"`{CYCLIC}` is a parameter of each input from a word"
+                    self._note(Code.ECS102, field.at, what, "give the field another name")
+            if word.key is None:
+                continue
+            index, subindex = word.key
+            what = f"object {index:#06x}:{subindex}"
+            if index >> 16 or subindex >> 8:
+                self._note(Code.ECS201, word.at, f"there is no {what}", "make it smaller")
+            if word.key in objects:
+                first = objects[word.key]
+                self._note(
+                    Code.ECS102,
+                    word.at,
+                    f"{what} has the word `{first.name}` already at {first.at}",
+                    "take one of them away",
+                )
+            objects.setdefault(word.key, word)
+
+    def _bits(self, owner: str, bits: int, fields: Iterable[RegisterField]) -> None:
         taken: dict[int, str] = {}
-        for field in register.fields:
+        for field in fields:
             self._type(field.type, field.at)
             span = range(field.low, field.high + 1)
             if field.high >= bits or not span:
                 self._note(
                     Code.ECS201,
                     field.at,
-                    f"bits {field.low}..{field.high} are not in the {bits} bits of"
-                    f" `{register.name}`",
+                    f"bits {field.low}..{field.high} are not in the {bits} bits of `{owner}`",
                     f"stay between 0 and {bits - 1}, low bit first",
                 )
             others = sorted({taken[bit] for bit in span if bit in taken})
@@ -476,7 +251,7 @@ class _Checker:
             field.name: name for name in chain[1:] for field in self._protocol.frames[name].fields
         }
         for field in frame.fields:
-            if field.name in outer and not field.name.startswith(_LAYOUT_WORDS):
+            if field.name in outer and not field.name.startswith(LAYOUT_WORDS):
                 self._note(
                     Code.ECS204,
                     field.at,
@@ -542,15 +317,7 @@ class _Checker:
         for variable in machine.variables:
             self._type(variable.type, variable.at)
         for item in machine.inputs:
-            known = list(self._protocol.registers)
-            if item.kind == "frame":
-                known = list(self._protocol.frames)
-            for origin in item.origin:
-                if origin not in known:
-                    kind = "frame" if item.kind == "frame" else "register"
-                    self._missing(kind, origin, known, item.at)
-            for _, kind_of_parameter in item.parameters:
-                self._type(kind_of_parameter, item.at)
+            self._input(item)
         rules_and_gaps: tuple[Rule | Gap, ...] = (*machine.rules, *machine.gaps)
         for row in rules_and_gaps:
             self._states(machine, row.sources, row.at)
@@ -560,6 +327,30 @@ class _Checker:
         for rule in machine.rules:
             if rule.target is not None:
                 self._states(machine, (rule.target,), rule.at)
+
+    def _input(self, item: Input) -> None:
+        what, known = "register", list(self._protocol.registers)
+        if item.kind == "frame":
+            what, known = "frame", list(self._protocol.frames)
+        elif item.kind == "word":
+            what, known = "word", list(self._protocol.words)
+        for origin in item.origin:
+            if origin not in known:
+                self._missing(what, origin, known, item.at)
+            elif item.kind == "word" and self._protocol.words[origin].key is None:
+                what = f"word `{origin}` has no object that could take a value"
+                self._note(Code.ECS106, item.at, what, f"write word {origin} in INDEX : SUBINDEX")
+        for _, kind in item.parameters:
+            self._type(kind, item.at)
+
+    def _reason_of(self, reason: Reason) -> None:
+        machine = self._protocol.machines.get(reason.machine)
+        if machine is None:
+            self._missing("machine", reason.machine, self._protocol.machines, reason.at)
+            return
+        rules = [rule.name for rule in machine.rules]
+        if reason.rule not in rules:
+            self._missing(f"rule of `{machine.name}`", reason.rule, rules, reason.at)
 
     def _states(self, machine: Machine, states: Iterable[str], at: Span) -> None:
         for state in states:
@@ -583,8 +374,9 @@ class _Checker:
                 continue
             for value in parameter.value:
                 self._demand(value, nowhere, UInt(16) if area else parameter.type)
-        for register in self._protocol.registers.values():
-            for field in register.fields:
+        layouts = (*self._protocol.registers.values(), *self._protocol.words.values())
+        for layout in layouts:
+            for field in layout.fields:
                 if field.shows is not None:
                     self._demand(field.shows.value, nowhere, field.type)
                     if field.shows.condition is not None:
@@ -600,6 +392,8 @@ class _Checker:
                 self._rule(machine, rule)
             for gap in machine.gaps:
                 self._guard(machine, gap)
+        for reason in self._protocol.reasons.values():
+            self._reason(reason)
 
     def _frame_expressions(self, frame: Frame) -> None:
         inside = Scope(frame=frame.name)
@@ -646,7 +440,7 @@ class _Checker:
             Code.ECS101,
             at,
             f"`{path}` is no variable that can be set",
-            f"declare it as a variable{_near(path, known, ', or write ')}",
+            f"declare it as a variable{near(path, known, ', or write ')}",
         )
         return None
 
@@ -664,9 +458,16 @@ class _Checker:
             self._demand(store.index, scope, UInt(16))
             self._demand(store.subindex, scope, UInt(8))
             self._demand(store.value, scope, Bytes(None))
+        if rule.take is not None:
+            self._demand(rule.take, scope, Bytes(None))
         for send in rule.sends:
             self._send(send, scope)
         self._gives(rule.gives, scope)
+        for later in rule.laters:
+            self._event(later, {"event", "local", "own"}, scope)
+            if later.after is not None:
+                self._demand(later.after, scope, Time())
+            self._demand(later.within, scope, Time())
         if rule.within is not None:
             self._demand(rule.within, scope, Time())
         if rule.after is not None:
@@ -698,10 +499,8 @@ class _Checker:
             if give.target == "resend":
                 continue
             if give.target == "deliver":
-                if (found := input_of(self._protocol, scope)) is None or found.kind in {
-                    "event",
-                    "local",
-                }:
+                found = input_of(self._protocol, scope)
+                if found is None or found.kind not in {"write", "frame"}:
                     self._note(
                         Code.ECS202,
                         give.at,
@@ -709,19 +508,47 @@ class _Checker:
                         "deliver in rules on a write or a frame",
                     )
                 continue
-            name, _, event = give.target.partition(".")
-            other = self._protocol.machines.get(name)
-            inputs = {} if other is None else {i.name: i for i in other.inputs if i.kind == "event"}
-            if event not in inputs:
-                self._missing("event", give.target, (f"{name}.{i}" for i in inputs), give.at)
-                continue
-            self._bindings(
-                give.arguments, dict(inputs[event].parameters), scope, give.target, give.at
+            self._event(give, {"event"}, scope)
+
+    def _event(self, event: Give | Later, kinds: set[str], scope: Scope) -> None:
+        """The target is an input of one of these kinds and gets all its parameters."""
+        machine, _, name = event.target.partition(".")
+        other = self._protocol.machines.get(machine)
+        inputs = {} if other is None else {i.name: i for i in other.inputs if i.kind in kinds}
+        if name not in inputs:
+            self._missing("event", event.target, (f"{machine}.{i}" for i in inputs), event.at)
+            return
+        parameters = dict(inputs[name].parameters)
+        self._bindings(event.arguments, parameters, scope, event.target, event.at)
+        for parameter in parameters:
+            if parameter not in dict(event.arguments):
+                what = f"`{event.target}` gets no `{parameter}`"
+                self._note(Code.ECS203, event.at, what, f"write {parameter} = ...")
+
+    def _reason(self, reason: Reason) -> None:
+        """A reason is told after the rule has fired: the parameters of the input are gone."""
+        scope = Scope(reason.machine)
+        self._demand(reason.guard, scope, Bool())
+        places = _PLACE.findall(reason.wording)
+        for place in places:
+            if place not in _PLACES:
+                what = f"{place} in reason `{reason.name}` stands for nothing"
+                self._note(Code.ECS206, reason.at, what, f"write {' or '.join(_PLACES)}")
+        if len(places) != len(reason.values):
+            self._note(
+                Code.ECS206,
+                reason.at,
+                f"reason `{reason.name}` has {len(places)} places for {len(reason.values)} values",
+                "give a value for each place of the wording",
             )
-            for parameter, _ in inputs[event].parameters:
-                if parameter not in dict(give.arguments):
-                    what = f"`{give.target}` gets no `{parameter}`"
-                    self._note(Code.ECS203, give.at, what, f"write {parameter} = ...")
+        for place, value in zip(places, reason.values, strict=False):
+            expected = Bytes(None) if place == _WORDS else None
+            kind = self._walk(value, scope, expected)
+            fits = isinstance(kind, Bytes) if place == _WORDS else isinstance(kind, _TOLD)
+            if kind is not None and not fits:
+                what = f"{_word(kind)} cannot be told by {place}"
+                remedy = f"write {_WORDS} for bytes, and {{}} or {{hex}} for all else"
+                self._note(Code.ECS206, value.at, what, remedy)
 
     def _send(self, send: Send, scope: Scope) -> None:
         if send.frame not in self._protocol.frames:
@@ -758,7 +585,7 @@ class _Checker:
                     Code.ECS101,
                     at,
                     f"`{owner}` has no `{name}`",
-                    f"name one of its own{_near(name, types)}",
+                    f"name one of its own{near(name, types)}",
                 )
             self._demand(value, scope, types.get(name))
 
@@ -797,6 +624,8 @@ class _Checker:
                 found = Bool()
             case Binary(operator, left, right):
                 found = Bool() if operator in {"and", "or"} else _NUMBER
+                if operator == "+" and kind_of(self._protocol, left, scope) == Time():
+                    found = Time()
                 self._demand(left, scope, found)
                 self._demand(right, scope, found)
             case In(operand, items):
@@ -882,7 +711,7 @@ class _Checker:
             Code.ECS101,
             name.at,
             f"`{name.path}` means nothing{where}",
-            f"declare it{_near(name.path, known, ', or write ')}",
+            f"declare it{near(name.path, known, ', or write ')}",
         )
 
     def _compare(self, operator: str, left: Expression, right: Expression, scope: Scope) -> None:
@@ -925,7 +754,7 @@ class _Checker:
                 Code.ECS101,
                 call.at,
                 f"there is no function `{call.function}`",
-                f"take one of scope.FUNCTIONS{_near(call.function, FUNCTIONS)}",
+                f"take one of scope.FUNCTIONS{near(call.function, FUNCTIONS)}",
             )
             return None
         wanted = ", ".join(_word(kind) for kind in signature.arguments)
@@ -938,7 +767,30 @@ class _Checker:
             if found is not None and not _agree(found, kind):
                 what = f"`{call.function}` gets {_word(found)} for {_word(kind)}"
                 self._note(Code.ECS203, argument.at, what, remedy)
+        if call.function in EDGES:
+            self._edge(call, scope)
         return signature.result
+
+    def _edge(self, call: Call, scope: Scope) -> None:
+        """Only what was written has a value before: a truth among the parameters of the input."""
+        source = input_of(self._protocol, scope)
+        remedy = f"write {call.function}(PARAMETER) with a bool of a register or word, by its name"
+        if source is None or source.kind not in WITH_BEFORE:
+            what = f"`{call.function}` where no register or word was written"
+            self._note(Code.ECS205, call.at, what, remedy)
+            return
+        match call.arguments:
+            case (Name(path),) if path != CYCLIC:
+                try:
+                    ref = resolve(self._protocol, path, scope)
+                except UnresolvedName:
+                    return  # that the name means nothing is the finding
+                if ref == ParameterOfInput(path):
+                    return
+            case _:
+                pass
+        what = f"`{call.function}` of what is no field of `{', '.join(source.origin)}`"
+        self._note(Code.ECS205, call.at, what, remedy)
 
     # --- objects ---
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from ecatspec.spec.language.ir import Span
 
 
@@ -30,6 +33,8 @@ class Code(Enum):
     ECS202 = "values of different kinds meet"
     ECS203 = "a function gets the wrong arguments"
     ECS204 = "the fields of a frame do not fit together"
+    ECS205 = "an edge is asked of something that has no value before"
+    ECS206 = "the wording of a reason and its values do not fit together"
 
     ECS301 = "two rules of a machine can fire for the same input"
     ECS302 = "a rule can never fire"
@@ -63,3 +68,9 @@ class SpecError(Exception):
     def __init__(self, diagnostics: tuple[Diagnostic, ...]) -> None:
         self.diagnostics = diagnostics
         super().__init__("\n".join(str(diagnostic) for diagnostic in diagnostics))
+
+
+def near(name: str, known: Iterable[str], before: str = "; did you mean ") -> str:
+    """What else could be meant by a name, for a remedy."""
+    found = difflib.get_close_matches(name, sorted(set(known)), 1, 0.6)
+    return f"{before}`{found[0]}`" if found else ""

@@ -300,6 +300,21 @@ class Register:
 
 
 @dataclass(frozen=True, slots=True)
+class Word:
+    """Bits of an object (`key`: index and subindex), or, without one, of values of this layout.
+
+    Where a field `shows` an expression, the object reads so.
+    """
+
+    name: str
+    key: tuple[int, int] | None
+    size: int
+    fields: tuple[RegisterField, ...]
+    clauses: tuple[str, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class FrameField:
     """One field of a frame, least significant bit first.
 
@@ -346,7 +361,11 @@ class Input:
     kind "write": the MainDevice wrote one of the registers `origin`, parameters are its fields;
     kind "frame": a frame was delivered, and no layout inside `origin` has an input of its own;
     kind "event": another machine gives it, with `parameters`;
-    kind "local": it happens inside the device, unseen by the MainDevice until a rule shows it.
+    kind "word": the device took a value for the object of the word `origin`, parameters are its
+    fields and `cyclic` (by process data, not by SDO);
+    kind "outputs": the MainDevice wrote process data, the parameter is `image`;
+    kind "local": it befalls the device, unseen by the MainDevice until a rule shows it;
+    kind "own": the device does it when it likes.
     """
 
     name: str
@@ -440,6 +459,20 @@ class Give:
 
 
 @dataclass(frozen=True, slots=True)
+class Later:
+    """An event that comes by itself: not before `after`, at the latest `within`, if not renewed.
+
+    A new one for the same target takes the place of one that is still to come.
+    """
+
+    target: str
+    arguments: tuple[tuple[str, Expression], ...]
+    after: Expression | None
+    within: Expression
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Store:
     """`store index : subindex = value`: an object takes a new value.
 
@@ -478,6 +511,25 @@ class Rule:
     gives: tuple[Give, ...]
     within: Expression | None
     after: After | None = None
+    take: Expression | None = None
+    laters: tuple[Later, ...] = ()
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a rule refuses, in words: `{}`, `{hex}` and `{words}` stand for the values in order.
+
+    It is told where `guard` holds when the rule `machine.rule` has fired.
+    """
+
+    name: str
+    machine: str
+    rule: str
+    wording: str
+    values: tuple[Expression, ...]
+    guard: Expression
+    clauses: tuple[str, ...]
     at: Span = field(default=NOWHERE, compare=False)
 
 
@@ -529,6 +581,7 @@ class ObjectEntry:
     low: int | None = None
     high: int | None = None
     default: int | str | None = None
+    mappable: bool = False
     clauses: tuple[str, ...] = ()
     at: Span = field(default=NOWHERE, compare=False)
 
@@ -575,6 +628,8 @@ class Replace:
     updates: tuple[Update, ...]
     sends: tuple[Send, ...]
     within: Expression | None
+    gives: tuple[Give, ...] = ()
+    laters: tuple[Later, ...] = ()
     at: Span = field(default=NOWHERE, compare=False)
 
 
@@ -684,6 +739,8 @@ Declaration: TypeAlias = (
     | Extend
     | ReplaceField
     | Fault
+    | Word
+    | Reason
 )
 
 
@@ -717,12 +774,14 @@ class Protocol:
     tables: dict[str, CodeTable]
     parameters: dict[str, Parameter]
     registers: dict[str, Register]
+    words: dict[str, Word]
     frames: dict[str, Frame]
     machines: dict[str, Machine]
     choices: dict[str, Choice]
     conditions: dict[str, Condition]
     definitions: dict[str, Definition]
     properties: dict[str, Property]
+    reasons: dict[str, Reason]
     pins: dict[str, Pin]
     closed: dict[str, Close]
     objects: tuple[ObjectEntry, ...]

@@ -10,7 +10,8 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ecatspec.spec.language.check import check_protocol, check_texts, check_words
+from ecatspec.spec.language.check import check_protocol, check_words
+from ecatspec.spec.language.check_texts import check_texts
 from ecatspec.spec.language.diagnostics import SpecError
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.merge import merge_device, merge_standard, with_fault
@@ -106,7 +107,8 @@ def _chosen(texts: Sequence[SourceText], name: str | None) -> list[SourceText]:
 def _together(texts: Sequence[SourceText], name: str | None) -> Protocol:
     chosen = _chosen(texts, name)
     standard = [text for text in chosen if text.extends is None]
-    protocol = merge_standard(standard)
+    protocol, findings = merge_standard(standard)
+    _raise(findings)
     for device in (text for text in chosen if text.extends is not None):
         protocol, findings = merge_device(protocol, device)
         _raise(findings)

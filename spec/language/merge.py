@@ -1,4 +1,4 @@
-"""The only place for what a device text does to the standard: pin, set, close, replace, remove."""
+"""The only place for what texts do to each other: extend, pin, set, close, replace, remove."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from ecatspec.spec.language.ir import (
     Property,
     Protocol,
     Range,
+    Reason,
     Register,
     Remove,
     Replace,
@@ -41,6 +42,7 @@ from ecatspec.spec.language.ir import (
     Rule,
     SetParameter,
     Variable,
+    Word,
 )
 
 if TYPE_CHECKING:
@@ -61,8 +63,18 @@ _Named: TypeAlias = Variable | Input | Rule | Gap
 _CHANGES = (Replace, Remove, Extend, ReplaceField)
 
 
-def merge_standard(texts: Sequence[SourceText]) -> Protocol:
-    """All declarations of the standard's texts, in the order of the texts."""
+def merge_standard(texts: Sequence[SourceText]) -> tuple[Protocol, list[Diagnostic]]:
+    """All declarations of the standard's texts, in the order of the texts, and the findings."""
+    protocol = _declared(texts)
+    merge = _Merge(protocol, _declared(()))
+    for text in texts:
+        for extension in _of(text.declarations, Extend):
+            merge.take(extension)
+    return replace(protocol, machines=merge.machines), merge.findings
+
+
+def _declared(texts: Sequence[SourceText]) -> Protocol:
+    """What texts declare, before anything in them changes anything else."""
     declared = [declaration for text in texts for declaration in text.declarations]
     wording = texts[0].wording if len(texts) == 1 else "the standard"
     dictionaries = _of(declared, Dictionary)
@@ -74,12 +86,14 @@ def merge_standard(texts: Sequence[SourceText]) -> Protocol:
         tables=_named(_of(declared, CodeTable)),
         parameters=_named(_of(declared, Parameter)),
         registers=_named(_of(declared, Register)),
+        words=_named(_of(declared, Word)),
         frames=_named(_of(declared, Frame)),
         machines=_named(_of(declared, Machine)),
         choices=_named(_of(declared, Choice)),
         conditions=_named(_of(declared, Condition)),
         definitions=_named(_of(declared, Definition)),
         properties=_named(_of(declared, Property)),
+        reasons=_named(_of(declared, Reason)),
         pins={},
         closed={},
         objects=_of(declared, ObjectEntry),
@@ -93,7 +107,7 @@ def merge_standard(texts: Sequence[SourceText]) -> Protocol:
 
 def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[Diagnostic]]:
     """The standard as one device keeps it, and the findings of 4xx."""
-    own = merge_standard((text,))
+    own = _declared((text,))
     merge = _Merge(standard, own)
     for declaration in text.declarations:
         merge.take(declaration)
@@ -103,6 +117,7 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         merge.unclaimed(own.clauses.values())
         merge.unfounded(text.declarations, standard.clauses | own.clauses)
     merge.objects(standard.objects, own.objects)
+    merge.words(standard.words, own.words.values())
     changed = tuple(d for d in text.declarations if isinstance(d, _CHANGES))
     protocol = Protocol(
         name=text.name,
@@ -112,12 +127,14 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         tables=merge.tables,
         parameters=merge.parameters,
         registers=standard.registers | own.registers,
+        words=standard.words | own.words,
         frames=merge.frames,
         machines=merge.machines,
         choices=merge.choices,
         conditions=standard.conditions | own.conditions,
         definitions=standard.definitions | own.definitions,
         properties=standard.properties | own.properties,
+        reasons=merge.reasons | own.reasons,
         pins=merge.pins,
         closed=merge.closed,
         objects=_objects(standard.objects, own.objects),
@@ -132,10 +149,11 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
 
 def with_fault(protocol: Protocol, fault: Fault) -> tuple[Protocol, list[Diagnostic]]:
     """The protocol as a device with this mistake keeps it, and the findings of 4xx."""
-    merge = _Merge(protocol, merge_standard(()))
+    merge = _Merge(protocol, _declared(()))
     for change in fault.changes:
         merge.take(change)
-    return replace(protocol, machines=merge.machines, frames=merge.frames), merge.findings
+    faulty = replace(protocol, machines=merge.machines, frames=merge.frames, reasons=merge.reasons)
+    return faulty, merge.findings
 
 
 def own_closes(text: SourceText) -> tuple[Close, ...]:
@@ -155,12 +173,14 @@ _N = TypeVar(
     CodeTable,
     Parameter,
     Register,
+    Word,
     Frame,
     Machine,
     Choice,
     Condition,
     Definition,
     Property,
+    Reason,
 )
 
 
@@ -188,6 +208,7 @@ class _Merge:
         self.machines = standard.machines | own.machines
         self.choices = standard.choices | own.choices
         self.frames = standard.frames | own.frames
+        self.reasons = dict(standard.reasons)
         self.pins = dict(standard.pins)
         self.closed = dict(standard.closed)
 
@@ -243,6 +264,18 @@ class _Merge:
                     entry.at,
                     f"object {entry.index:#06x}:{entry.subindex} is the same in the standard",
                     "take the row away or write what is different",
+                )
+
+    def words(self, standard: Mapping[str, Word], own: Iterable[Word]) -> None:
+        """A word of the standard is said again only where it is another one."""
+        for word in own:
+            old = standard.get(word.name)
+            if old is not None and replace(word, clauses=old.clauses) == old:
+                self._find(
+                    Code.ECS402,
+                    word.at,
+                    f"word `{word.name}` is the same in the standard",
+                    "take it away or write what is different",
                 )
 
     def _find(self, code: Code, at: Span, message: str, remedy: str) -> None:
@@ -383,6 +416,8 @@ class _Merge:
             target=old.target if statement.target is None else statement.target,
             updates=_updated(old.updates, statement.updates),
             sends=statement.sends or old.sends,
+            gives=statement.gives or old.gives,
+            laters=statement.laters or old.laters,
             within=old.within if statement.within is None else statement.within,
         )
         if new == old:
@@ -402,6 +437,11 @@ class _Merge:
             machine, old = found
             rules = tuple(rule for rule in machine.rules if rule is not old)
             self.machines[machine.name] = replace(machine, rules=rules)
+            self.reasons = {
+                name: reason
+                for name, reason in self.reasons.items()
+                if (reason.machine, reason.rule) != (machine.name, old.name)
+            }
 
     # --- closed tables ---
 
@@ -464,6 +504,12 @@ class _Merge:
             replace(give, arguments=narrow.fields(self._event_types(give.target), give.arguments))
             for give in rule.gives
         )
+        laters = tuple(
+            replace(
+                later, arguments=narrow.fields(self._event_types(later.target), later.arguments)
+            )
+            for later in rule.laters
+        )
         for value in narrow.lost:
             self._find(
                 Code.ECS403,
@@ -472,7 +518,7 @@ class _Merge:
                 f" `{close.table}`: it has {narrow.wording(value)}",
                 "replace or remove the rule, or keep its code",
             )
-        new = replace(rule, updates=updates, sends=sends, gives=gives)
+        new = replace(rule, updates=updates, sends=sends, gives=gives, laters=laters)
         if new == rule:
             return rule
         return replace(new, clauses=_joined(rule.clauses, close.clauses))

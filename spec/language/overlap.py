@@ -30,10 +30,12 @@ from ecatspec.spec.language.ir import (
     Remove,
     Replace,
     Rule,
+    Time,
     Unary,
 )
 from ecatspec.spec.language.scope import (
     COMPARISONS,
+    EDGES,
     EXCLUSIVE,
     FUNCTIONS,
     IMPLIES,
@@ -51,8 +53,10 @@ from ecatspec.spec.language.scope import (
     Scope,
     StateRef,
     VariableRef,
+    WordFieldRef,
     bounds_of,
     expectation,
+    kind_of,
     kind_of_ref,
     resolve,
 )
@@ -234,7 +238,7 @@ def _order(value: _Value) -> tuple[bool, int, str]:
 
 
 def _possible(environment: _Environment) -> bool:
-    """Whether the answers of the functions of the object dictionary agree with each other."""
+    """Whether the answers of functions agree with each other, and edges with what they lead to."""
     held = {
         (d.function, d.arguments): bool(value)
         for d, value in environment.items()
@@ -247,6 +251,14 @@ def _possible(environment: _Environment) -> bool:
         for (function, arguments), holds in held.items():
             if function == first and holds and held.get((second, arguments[:few])) is False:
                 return False
+    for (function, arguments), holds in held.items():
+        match arguments:
+            case (Name(path),) if holds and function in EDGES:
+                now = environment.get(ParameterOfInput(path))
+                if now is not None and bool(now) is not EDGES[function]:
+                    return False
+            case _:
+                pass
     for group in EXCLUSIVE:
         true = [
             arguments
@@ -271,6 +283,8 @@ def _name(dimension: _Dimension) -> str:
             return f"{machine}.state"
         case RegisterFieldRef(register, field):
             return f"{register}.{field}"
+        case WordFieldRef(word, field):
+            return f"{word}.{field}"
         case Call(function, _):
             return f"{function}(...)"
         case Binary(operator, _, _):
@@ -407,7 +421,7 @@ class _Guard:
                 ParameterOfInput() | ReplyField() | VariableRef() | StateRef() | RegisterFieldRef()
             ):
                 return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
-            case ChoiceRef() | ConditionRef():
+            case WordFieldRef() | ChoiceRef() | ConditionRef():
                 return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
             case _:
                 assert_never(ref)
@@ -452,6 +466,8 @@ class _Guard:
                 self._near(side.dimension, {against.constant})
 
     def _comparison(self, value: Binary) -> _Operand:
+        if kind_of(self._protocol, value.left, self._scope) == Time():
+            return self._dimension(value, Bool())
         of_right = expectation(self._protocol, value.left, self._scope)
         of_left = expectation(self._protocol, value.right, self._scope)
         left, right = self._build(value.left, of_left), self._build(value.right, of_right)

@@ -45,6 +45,7 @@ from ecatspec.spec.language.ir import (
     Give,
     In,
     Input,
+    Later,
     Level,
     Literal,
     Machine,
@@ -57,6 +58,7 @@ from ecatspec.spec.language.ir import (
     Pin,
     Property,
     Range,
+    Reason,
     Register,
     RegisterField,
     Remove,
@@ -77,6 +79,7 @@ from ecatspec.spec.language.ir import (
     Unary,
     Update,
     Variable,
+    Word,
 )
 
 if TYPE_CHECKING:
@@ -126,10 +129,12 @@ _DECLARATIONS: Final = frozenset(
         "PARAMETER",
         "PIN",
         "PROPERTY",
+        "REASON",
         "REGISTER",
         "REMOVE",
         "REPLACE",
         "TABLE",
+        "WORD",
         "$END",
     }
 )
@@ -256,7 +261,14 @@ def _in_word(terminal: str) -> str:
 
 # --- from tree to IR -----------------------------------------------------------------------------
 
-_INPUTS: Final = {"origin_input": "", "event_input": "event", "local_input": "local"}
+_INPUTS: Final = {
+    "origin_input": "",
+    "word_input": "word",
+    "outputs_input": "outputs",
+    "event_input": "event",
+    "local_input": "local",
+    "own_input": "own",
+}
 _BINARY: Final = {"or_": "or", "and_": "and"}
 _TOKENS: Final = frozenset({"compare", "add", "subtract", "multiply"})
 
@@ -440,6 +452,16 @@ class _Builder:
         value = 0 if reset is None else _number(reset)
         return Register(name, address, size, main, device, value, fields, clauses, at)
 
+    def _word(self, tree: Tree[Token]) -> Word:
+        children, at = self._open(tree)
+        name, index, subindex = children.word(), children.optional_word(), children.optional_word()
+        key = None
+        if index is not None and subindex is not None:
+            key = _number(index), _number(subindex)
+        size, clauses = children.number(), self._ids(children.given("id_list"))
+        fields = tuple(self._register_field(field) for field in children.trees())
+        return Word(name, key, size, fields, clauses, at)
+
     def _register_field(self, tree: Tree[Token]) -> RegisterField:
         children, at = self._open(tree)
         low = children.number()
@@ -505,6 +527,7 @@ class _Builder:
             access,
             constant="constant" in marks,
             volatile="volatile" in marks,
+            mappable="mappable" in marks,
             states=states,
             read_states=() if readable is None else tuple(_Children(readable, at).words("NAME")),
             low=None if low is None else self._signed(low),
@@ -566,6 +589,16 @@ class _Builder:
         name, wording, value = children.word(), children.string(), self._expression(children.tree())
         return Property(name, wording, value, self._ids(children.given("id_list")), at)
 
+    def _reason(self, tree: Tree[Token]) -> Reason:
+        children, at = self._open(tree)
+        name = children.word()
+        machine, rule = _two_parts(_path(children.tree()), at)
+        wording, given = children.string(), children.given("reason_values")
+        parts = [] if given is None else self._open(given)[0].trees()
+        values = tuple(self._expression(part) for part in parts)
+        guard, clauses = self._expression(children.tree()), self._ids(children.tree())
+        return Reason(name, machine, rule, wording, values, guard, clauses, at)
+
     def _pin(self, tree: Tree[Token]) -> Pin:
         children, at = self._open(tree)
         name, alternative = children.word(), children.word()
@@ -611,9 +644,12 @@ class _Builder:
         name = children.word()
         if tree.data == "origin_input":
             return Input(name, children.word(), tuple(children.words("NAME")), (), at)
+        kind = _INPUTS[str(tree.data)]
+        if tree.data in {"word_input", "outputs_input"}:
+            return Input(name, kind, tuple(children.words("NAME")), (), at)
         items = [self._open(item)[0] for item in children.trees()]
         parameters = tuple((item.word(), self._type(item.tree())) for item in items)
-        return Input(name, _INPUTS[str(tree.data)], (), parameters, at)
+        return Input(name, kind, (), parameters, at)
 
     def _from(self, tree: Tree[Token]) -> tuple[tuple[str, ...], str]:
         children, _ = self._open(tree)
@@ -627,8 +663,9 @@ class _Builder:
         guard, target = self._one(children, "when"), self._goto(children)
         updates = self._updates(children)
         stores = tuple(self._store(item) for item in children.all("store", "complete_store"))
+        take = self._one(children, "take")
         sends = tuple(self._send(item) for item in children.all("send"))
-        gives = self._gives(children)
+        gives, laters = self._gives(children), self._laters(children)
         within, after = self._one(children, "within"), children.given("after")
         return Rule(
             name,
@@ -643,6 +680,8 @@ class _Builder:
             gives,
             within,
             None if after is None else self._after(after),
+            take,
+            laters,
             at,
         )
 
@@ -652,6 +691,16 @@ class _Builder:
 
     def _gives(self, children: _Children) -> tuple[Give, ...]:
         return tuple(self._give(item) for item in children.all("give", "deliver", "resend"))
+
+    def _laters(self, children: _Children) -> tuple[Later, ...]:
+        return tuple(self._later(item) for item in children.all("later"))
+
+    def _later(self, tree: Tree[Token]) -> Later:
+        children, at = self._open(tree)
+        target, given = _path(children.tree()), children.given("arguments")
+        arguments = () if given is None else self._bindings(self._open(given)[0])
+        after = self._one(children, "not_before")
+        return Later(target, arguments, after, self._expression(children.tree()), at)
 
     def _gap(self, tree: Tree[Token]) -> Gap:
         children, at = self._open(tree)
@@ -698,8 +747,11 @@ class _Builder:
         guard, target = self._one(children, "when"), self._goto(children)
         updates = self._updates(children)
         sends = tuple(self._send(item) for item in children.all("send"))
+        gives, laters = self._gives(children), self._laters(children)
         within = self._one(children, "within")
-        return Replace(machine, rule, clauses, guard, target, updates, sends, within, at)
+        return Replace(
+            machine, rule, clauses, guard, target, updates, sends, within, gives, laters, at
+        )
 
     def _replace_field(self, tree: Tree[Token]) -> ReplaceField:
         children, at = self._open(tree)
@@ -802,10 +854,12 @@ class _Builder:
         "parameter": _parameter,
         "pin": _pin,
         "property": _property,
+        "reason": _reason,
         "register": _register,
         **_changes,
         "set_parameter": _set_parameter,
         "table": _table,
+        "word": _word,
     }
 
 

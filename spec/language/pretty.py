@@ -32,6 +32,7 @@ from ecatspec.spec.language.ir import (
     Give,
     In,
     Input,
+    Later,
     Literal,
     Machine,
     Manual,
@@ -43,6 +44,7 @@ from ecatspec.spec.language.ir import (
     Pin,
     Property,
     Range,
+    Reason,
     Register,
     Remove,
     Replace,
@@ -57,6 +59,7 @@ from ecatspec.spec.language.ir import (
     Type,
     UInt,
     Unary,
+    Word,
 )
 from ecatspec.spec.language.parse import MICROSECONDS, TIME_DIGITS
 
@@ -292,7 +295,7 @@ def _cells(member: Declaration) -> tuple[str, ...]:
 
 
 def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
-    marks = [word for word in ("constant", "volatile") if getattr(entry, word)]
+    marks = [word for word in ("constant", "volatile", "mappable") if getattr(entry, word)]
     default = entry.default
     if default is not None:
         default = f'= "{default}"' if isinstance(default, str) else f"= {default}"
@@ -319,6 +322,10 @@ def _block(member: Declaration) -> list[str]:
             return _table(member)
         case Register():
             return _register(member)
+        case Word():
+            return _word(member)
+        case Reason():
+            return _reason(member)
         case Frame():
             return _frame(member)
         case Machine():
@@ -405,6 +412,22 @@ def _register(register: Register) -> list[str]:
     return [head.rstrip(), *_columns([_register_field(f) for f in register.fields], "  ")]
 
 
+def _word(word: Word) -> list[str]:
+    head = f"word {word.name}"
+    if word.key is not None:
+        head += f" in {_hex(word.key[0], 4)} : {word.key[1]}"
+    head += f" size {word.size} {_ids(word.clauses)}"
+    return [head.rstrip(), *_columns([_register_field(f) for f in word.fields], "  ")]
+
+
+def _reason(reason: Reason) -> list[str]:
+    head = f'reason {reason.name} of {reason.machine}.{reason.rule} "{reason.wording}"'
+    if reason.values:
+        head += f" ({', '.join(map(pretty_expression, reason.values))})"
+    lines = _paragraph("when", reason.guard)
+    return [head, *lines[:-1], f"{lines[-1]}  {_ids(reason.clauses)}"]
+
+
 def _register_field(field: RegisterField) -> tuple[str, ...]:
     shows = ""
     if field.shows is not None:
@@ -463,12 +486,11 @@ def _machine_parts(machine: Machine | Extend) -> list[str]:
 
 
 def _input(item: Input) -> tuple[str, str]:
-    if item.kind in {"event", "local"}:
+    if item.kind in {"event", "local", "own"}:
+        word = "" if item.kind == "event" else f"{item.kind} "
         parameters = ", ".join(f"{name}: {pretty_type(kind)}" for name, kind in item.parameters)
-        return f"input    {item.name}", (
-            "local " if item.kind == "local" else ""
-        ) + f"({parameters})"
-    return f"input    {item.name}", f"from {item.kind} {', '.join(item.origin)}"
+        return f"input    {item.name}", f"{word}({parameters})"
+    return f"input    {item.name}", f"from {item.kind} {', '.join(item.origin)}".rstrip()
 
 
 def _rule(row: Rule | Gap) -> list[str]:
@@ -496,9 +518,11 @@ def _paragraphs(row: Rule | Replace) -> list[str]:
             parts = (pretty_expression(p) for p in (store.index, store.subindex, store.value))
             word = "store complete" if store.complete else "store "
             lines.append(f"  {word} {{}} : {{}} = {{}}".format(*parts))
+        if row.take is not None:
+            lines.append(f"  take   {pretty_expression(row.take)}")
     lines += [_send(send) for send in row.sends]
-    if isinstance(row, Rule):
-        lines += [_give(give) for give in row.gives]
+    lines += [_give(give) for give in row.gives]
+    lines += [_later(later) for later in row.laters]
     if row.within is not None:
         lines.append(f"  within {pretty_expression(row.within)}")
     if isinstance(row, Rule) and row.after is not None:
@@ -521,4 +545,13 @@ def _send(send: Send) -> str:
 def _give(give: Give) -> str:
     if give.target in {"deliver", "resend"}:
         return f"  {give.target}"
-    return f"  give   {give.target}" + (f"({_bindings(give.arguments)})" if give.arguments else "")
+    return f"  give   {_event(give)}"
+
+
+def _later(later: Later) -> str:
+    after = "" if later.after is None else f" after {pretty_expression(later.after)}"
+    return f"  later  {_event(later)}{after} within {pretty_expression(later.within)}"
+
+
+def _event(event: Give | Later) -> str:
+    return event.target + (f"({_bindings(event.arguments)})" if event.arguments else "")

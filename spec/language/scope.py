@@ -4,16 +4,17 @@ A bare name is looked up in this order; the first that knows it wins:
 
 1. what the other side of a comparison, an assignment or an acceptable set expects: an alternative
    of that choice (only then), and later a row of that table where several tables have it;
-2. a parameter of the rule's input: the fields of the register that was written, of the frame that
-   was delivered and of the frames around it, or the parameters of the event;
+2. a parameter of the rule's input: the fields of the register that was written, of the word that
+   was taken (and `cyclic`), of the frame that was delivered and of the frames around it, the
+   `image` that was written, or the parameters of the event;
 3. a variable of the rule's own machine; `state` is its own state;
 4. a parameter (of an area `parameter.start` and `parameter.length`);
 5. a choice, a condition, a definition;
 6. a row of a code table.
 
 Dotted names are `reply.field` of the frame that the rule sends, `input.parameter` of the rule's own
-input, `machine.variable`, `machine.state`, `register.field`, `parameter.start`, `parameter.length`,
-`table.row`.
+input, `machine.variable`, `machine.state`, `register.field`, `word.field`, `parameter.start`,
+`parameter.length`, `table.row`.
 """
 
 from __future__ import annotations
@@ -89,6 +90,14 @@ class RegisterFieldRef:
 
 
 @dataclass(frozen=True, slots=True)
+class WordFieldRef:
+    """What a field of a word holds now."""
+
+    word: str
+    field: str
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterRef:
     """A parameter; `part` is `start` or `length` of an area, else None."""
 
@@ -139,6 +148,7 @@ Ref: TypeAlias = (
     | VariableRef
     | StateRef
     | RegisterFieldRef
+    | WordFieldRef
     | ParameterRef
     | ChoiceRef
     | AlternativeRef
@@ -231,7 +241,33 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     ),
     "lesser": FunctionSignature((_COUNT, _COUNT), _COUNT, "the smaller number"),
     "dictionary_closed": FunctionSignature((), Bool(), "only declared objects exist"),
+    "number": FunctionSignature((_DATA,), UInt(32), "the bytes as a number, the lowest first"),
+    "number_of": FunctionSignature(_ENTRY, SInt(64), "the present value as a number"),
+    "is_assignment": FunctionSignature(
+        (_INDEX,), Bool(), "the object assigns PDOs to a SyncManager"
+    ),
+    "is_mapping": FunctionSignature((_INDEX,), Bool(), "the object maps entries into a PDO"),
+    "can_hold": FunctionSignature(
+        (*_ENTRY, _DATA), Bool(), "the PDO can be assigned there, or the object mapped"
+    ),
+    "mapped": FunctionSignature(
+        (_INDEX, *_ENTRY), Bool(), "a PDO of the assignment holds the entry"
+    ),
+    "assigned_pdos": FunctionSignature((_INDEX,), _DATA, "the assigned PDOs, two bytes each"),
+    "image_size": FunctionSignature(
+        (_INDEX,), UInt(32), "bytes of the process data that an assignment object assigns"
+    ),
+    "pdo_bits": FunctionSignature(_ENTRY, UInt(32), "bits of the first so many entries of a PDO"),
+    "microseconds": FunctionSignature((_COUNT,), Time(), "so many microseconds"),
+    "rises": FunctionSignature((Bool(),), Bool(), "it is true now and was false before"),
+    "falls": FunctionSignature((Bool(),), Bool(), "it is false now and was true before"),
 }
+
+EDGES: Final = {"rises": True, "falls": False}
+"""What a parameter of the input is after the edge; its argument is such a parameter, by name."""
+
+WITH_BEFORE: Final = frozenset({"write", "word"})
+"""The kinds of inputs whose parameters had a value before."""
 
 IMPLIES: Final = (
     ("readable_now", "readable"),
@@ -240,12 +276,14 @@ IMPLIES: Final = (
 )
 """For the same entry: where the first holds, the second holds (of its first arguments)."""
 
-EXCLUSIVE: Final = (frozenset({"in_range", "too_high", "too_low"}),)
+EXCLUSIVE: Final = (frozenset({"in_range", "too_high", "too_low"}), frozenset(EDGES))
 """With the same arguments: at most one of these holds."""
 
 # --- names ---------------------------------------------------------------------------------------
 
 STATE: Final = "state"
+CYCLIC: Final = "cyclic"
+IMAGE: Final = "image"
 REPLY: Final = "reply"
 AREA_PARTS: Final = {"start": UInt(16), "length": UInt(16)}
 
@@ -315,6 +353,9 @@ def _dotted(protocol: Protocol, path: str, scope: Scope) -> Ref | None:
     register = protocol.registers.get(owner)
     if register and any(field.name == name for field in register.fields):
         return RegisterFieldRef(owner, name)
+    word = protocol.words.get(owner)
+    if word and any(field.name == name for field in word.fields):
+        return WordFieldRef(owner, name)
     parameter = protocol.parameters.get(owner)
     if parameter and parameter.type == Area() and name in AREA_PARTS:
         return ParameterRef(owner, name)
@@ -341,6 +382,8 @@ def known_names(protocol: Protocol, scope: Scope, expected: Kind | None = None) 
         yield from (f"{machine.name}.{variable.name}" for variable in machine.variables)
     for register in protocol.registers.values():
         yield from (f"{register.name}.{field.name}" for field in register.fields)
+    for word in protocol.words.values():
+        yield from (f"{word.name}.{field.name}" for field in word.fields)
     for parameter in protocol.parameters.values():
         yield parameter.name
         if parameter.type == Area():
@@ -384,8 +427,10 @@ def _parameters(protocol: Protocol, scope: Scope) -> dict[str, Type]:
     found = input_of(protocol, scope)
     if found is None:
         return {}
-    if found.kind in {"event", "local"}:
+    if found.kind in {"event", "local", "own"}:
         return dict(found.parameters)
+    if found.kind == "outputs":
+        return {IMAGE: Bytes(None)}
     origins = [_origin(protocol, found.kind, origin) for origin in found.origin]
     common = origins[0] if origins else {}
     for other in origins[1:]:
@@ -396,6 +441,10 @@ def _parameters(protocol: Protocol, scope: Scope) -> dict[str, Type]:
 def _origin(protocol: Protocol, kind: str, origin: str) -> dict[str, Type]:
     if kind == "frame":
         return frame_fields(protocol, origin)
+    if kind == "word":
+        word = protocol.words.get(origin)
+        fields = () if word is None else word.fields
+        return {field.name: field.type for field in fields} | {CYCLIC: Bool()}
     register = protocol.registers.get(origin)
     return {} if register is None else {field.name: field.type for field in register.fields}
 
@@ -463,6 +512,9 @@ def kind_of_ref(protocol: Protocol, ref: Ref, scope: Scope) -> Kind | None:
         case RegisterFieldRef(register, field):
             fields = protocol.registers[register].fields
             kind = next(item.type for item in fields if item.name == field)
+        case WordFieldRef(word, field):
+            fields = protocol.words[word].fields
+            kind = next(item.type for item in fields if item.name == field)
         case ParameterRef(name, part):
             kind = protocol.parameters[name].type if part is None else AREA_PARTS[part]
         case ChoiceRef():
@@ -521,8 +573,10 @@ def kind_of(
                 found = None
         case Unary(operator, _):
             found = Bool() if operator == "not" else _NUMBER
-        case Binary(operator, _, _):
+        case Binary(operator, left, _):
             found = Bool() if operator in _LOGIC or operator in COMPARISONS else _NUMBER
+            if operator == "+" and kind_of(protocol, left, scope) == Time():
+                found = Time()
         case In():
             found = Bool()
         case Conditional(_, then, otherwise):

@@ -67,6 +67,8 @@ class Description:
     """`initiate_data`, `segment_data`: the most bytes of a download that one message carries."""
     without: tuple[str, ...] = ()
     """Features that the way to the device cannot carry: cases of them are skipped."""
+    locals: frozenset[str] = frozenset()
+    """Local events, `machine.input` as in the texts, that `local` can make befall the device."""
 
     def to_json(self) -> dict[str, object]:
         """Return the description as data for JSON, in a fixed order."""
@@ -78,6 +80,7 @@ class Description:
             "notes": list(self.notes),
             "limits": dict(self.limits),
             "without": list(self.without),
+            "locals": sorted(self.locals),
         }
 
     @classmethod
@@ -99,6 +102,7 @@ class Description:
             notes=_texts(data, "notes"),
             limits=_numbers(data, "limits"),
             without=_texts(data, "without"),
+            locals=frozenset(_texts(data, "locals")),
         )
 
 
@@ -122,6 +126,20 @@ class Adapter(Protocol):
 
     def describe(self) -> Description:
         """Return what is known of the device; the same at every call."""
+
+
+def raise_local(adapter: Adapter, event: str) -> None:
+    """Make a local event befall the device, by the optional method `local(event)` of its adapter.
+
+    Raises:
+        AdapterError: The adapter does not describe this event, or has no such method.
+
+    """
+    local = getattr(adapter, "local", None)
+    if local is None or event not in adapter.describe().locals:
+        message = f"the adapter cannot raise {event!r}; describe it in `locals` and offer local()"
+        raise AdapterError(message)
+    local(event)
 
 
 def check_span(address: int, length: int) -> None:

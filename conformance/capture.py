@@ -1,9 +1,10 @@
 """The only place that reads capture files: pcap or pcapng in, transactions per SubDevice out.
 
 A MainDevice sends a frame and the same frame comes back; a capture holds both. This module pairs
-the two and yields what the pair did: one read or write of ESC memory, with its working counter. The
-numbers of the protocol come in as a `WireFormat`; only the numbers of the two file formats stand
-here. Memory stays flat however long the capture is.
+the two and yields what the pair did: one read or write of ESC memory, with its working counter. A
+logical datagram becomes the accesses that the FMMUs make of it, as far as the capture shows how
+they are set. The numbers of the protocol come in as a `WireFormat`; only the numbers of the two
+file formats stand here. Memory stays flat however long the capture is.
 """
 
 from __future__ import annotations
@@ -18,9 +19,14 @@ from typing import TYPE_CHECKING, BinaryIO, Final, Protocol
 import dpkt
 import dpkt.pcapng
 
+from ecatspec.model.fmmu import Fmmu
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
+
+    from ecatspec.model.fmmu import Share
+    from ecatspec.spec.language.ir import Register
 
 LOST_AFTER: Final = 1000
 """A request is given up when it is this many frames old."""
@@ -86,6 +92,8 @@ class WireFormat:
     """Name as in the table of commands (NOP, APRD ...) to number."""
     station_address_register: int
     station_address_size: int
+    fmmus: tuple[Register, ...] = ()
+    """Registers of the FMMUs; without them logical datagrams are left out."""
 
 
 class _Addressing(Enum):
@@ -155,9 +163,16 @@ class Transaction:
     address: int
     data: bytes
     working_counter: int
-    """As returned; of a command that reads and writes, the sum of both halves."""
+    """As returned; of a command that reads and writes, the sum of both halves.
+
+    All SubDevices share that of a logical datagram: here it is 1 for what was carried out.
+    """
     confirmed: bool
-    """False for an access whose return was not captured: nobody knows whether it took effect."""
+    """False for an access of which nobody knows whether it took effect.
+
+    Its return was not captured, or the working counter of a logical datagram does not say whose
+    part of it was carried out.
+    """
     command: str
     """Name of the command of the datagram."""
     done: bool
@@ -264,6 +279,75 @@ class Segment:
         if station:
             self._by_station[station] = device
             self._station[device] = station
+
+
+class _Mappings:
+    """What the capture has shown of the FMMUs of each SubDevice."""
+
+    def __init__(self, wire: WireFormat, segment: Segment) -> None:
+        self._registers = wire.fmmus
+        self._segment = segment
+        spans = (range(register.address, _end(register)) for register in wire.fmmus)
+        self._addresses = frozenset(chain.from_iterable(spans))
+        self._everywhere: dict[int, int] = {}
+        self._bytes: dict[int, dict[int, int]] = {}
+        self._fmmus: dict[int, tuple[Fmmu, ...]] | None = None
+
+    def observe(self, transaction: Transaction) -> None:
+        """Learn from an access to the registers; a write that got lost makes them unknown."""
+        device, write = transaction.device, transaction.write
+        data = {
+            address: value
+            for address, value in enumerate(transaction.data, transaction.address)
+            if address in self._addresses
+        }
+        if not data or (device is None and not write):
+            return
+        if transaction.confirmed and transaction.done:
+            for known in self._known(device):
+                known.update(data)
+        elif write and not transaction.confirmed:
+            for known in self._known(device):
+                for address in data:
+                    known.pop(address, None)
+        self._fmmus = None
+
+    def _known(self, device: int | None) -> list[dict[int, int]]:
+        """Give the bytes known of one SubDevice; of all, also of those that are still to come."""
+        if device is None:
+            return [self._everywhere, *self._bytes.values()]
+        device = self._segment.canonical(device)
+        return [self._bytes.setdefault(device, dict(self._everywhere))]
+
+    def shares(self, address: int, length: int) -> list[tuple[int, Fmmu, Share]]:
+        """Give what the FMMUs make of a logical access: SubDevice, FMMU, bits."""
+        fmmus = self._fmmus
+        if fmmus is None or any(self._segment.canonical(device) != device for device in fmmus):
+            fmmus = self._fmmus = self._decoded()
+        return [
+            (device, fmmu, share)
+            for device in sorted(fmmus)
+            for fmmu in fmmus[device]
+            if (share := fmmu.share(address, length)) is not None
+        ]
+
+    def _decoded(self) -> dict[int, tuple[Fmmu, ...]]:
+        for device in [d for d in self._bytes if self._segment.canonical(d) != d]:
+            known = self._bytes.pop(device)
+            known.update(self._bytes.get(self._segment.canonical(device), {}))
+            self._bytes[self._segment.canonical(device)] = known
+        return {
+            device: tuple(
+                Fmmu.of(register, int.from_bytes(bytes(known[at] for at in span), "little"))
+                for register in self._registers
+                if known.keys() >= set(span := range(register.address, _end(register)))
+            )
+            for device, known in self._bytes.items()
+        }
+
+
+def _end(register: Register) -> int:
+    return register.address + register.size
 
 
 # --- the two file formats -------------------------------------------------------------------------
@@ -641,6 +725,7 @@ class Capture:
 
     def _reset(self) -> None:
         self.segment = Segment(self._wire)
+        self._mappings = _Mappings(self._wire, self.segment)
         self.truncated: str | None = None
         self._count: Counter[str] = Counter()
         self._pending = _Pending()
@@ -750,7 +835,14 @@ class Capture:
             if adp is None:
                 self._count["unplaced"] += 1
                 continue
-            yield from self._halves(frame, request, before, after, adp)
+            if after.command.addressing is _Addressing.LOGICAL:
+                accesses = self._logical(frame, request, before, after)
+            else:
+                accesses = self._halves(frame, request, before, after, adp)
+            for transaction in accesses:
+                self.segment.observe(transaction)
+                self._mappings.observe(transaction)
+                yield transaction
 
     def _measure(self, frame: _Frame, request: _Frame | None) -> None:
         """Learn the number of SubDevices: each adds one to the ADP, and a broadcast starts at 0."""
@@ -768,8 +860,6 @@ class Capture:
     ) -> Iterator[Transaction]:
         """Yield the read and the write of a returned datagram."""
         command = after.command
-        if command.addressing in {_Addressing.NONE, _Addressing.LOGICAL}:
-            return
         both = command.reads and command.writes
         counter = after.working_counter
         wanted = {False: self._wire.working_counter_read, True: self._wire.working_counter_write}
@@ -779,7 +869,7 @@ class Capture:
             if both and request is None and write:
                 continue  # the data written went by before the capture started
             single = both and command.addressing is not _Addressing.ALL
-            transaction = Transaction(
+            yield Transaction(
                 frame=frame.number,
                 time=self._seconds(frame),
                 sent=self._seconds(request or frame),
@@ -792,32 +882,93 @@ class Capture:
                 command=command.name,
                 done=bool(counter & wanted[write]) if single else counter > 0,
             )
-            self.segment.observe(transaction)
-            yield transaction
+
+    def _logical(
+        self, frame: _Frame, request: _Frame | None, before: _Datagram, after: _Datagram
+    ) -> Iterator[Transaction]:
+        """Yield what the FMMUs make of a returned logical datagram, the reads first."""
+        both = after.command.reads and after.command.writes
+        shares = self._shares(after)
+        done = self._carried_out(shares, after)
+        for write, device, share in shares:
+            if not share.whole_bytes or (both and request is None and write):
+                continue  # a bit shows a mailbox state; the data written went by before the start
+            outcome = done.get(write)
+            yield Transaction(
+                frame=frame.number,
+                time=self._seconds(frame),
+                sent=self._seconds(request or frame),
+                device=device,
+                write=write,
+                address=share.address,
+                data=share.taken(before.data if write else after.data, b""),
+                working_counter=after.working_counter if outcome is None else int(outcome),
+                confirmed=outcome is not None,
+                command=after.command.name,
+                done=bool(outcome),
+            )
+
+    def _shares(self, datagram: _Datagram) -> list[tuple[bool, int, Share]]:
+        """Give the parts of a logical datagram: whether it is written, by whom, which bits."""
+        command = datagram.command
+        address = datagram.ado << self._wire.adp.width | datagram.adp
+        found = self._mappings.shares(address, len(datagram.data))
+        return [
+            *((False, d, share) for d, fmmu, share in found if command.reads and fmmu.read),
+            *((True, d, share) for d, fmmu, share in found if command.writes and fmmu.write),
+        ]
+
+    def _carried_out(
+        self, shares: list[tuple[bool, int, Share]], datagram: _Datagram
+    ) -> dict[bool, bool]:
+        """Tell for reads and for writes whether all or none took place; left out is not known."""
+        weights = {False: 1, True: 1}
+        if datagram.command.reads and datagram.command.writes:
+            read, written = self._wire.working_counter_read, self._wire.working_counter_write
+            weights = {False: read, True: written}
+        concerned = {(write, device) for write, device, _ in shares}
+        expected = sum(weights[write] for write, _ in concerned)
+        counter = datagram.working_counter
+        if counter in {0, expected}:
+            return {False: counter > 0, True: counter > 0}
+        alone = len({device for _, device in concerned}) == 1
+        if alone and counter < expected:
+            return {write: bool(counter & weight) for write, weight in weights.items()}
+        return {}
 
     def _lost(self, request: _Frame) -> Iterator[Transaction]:
         """Yield the accesses of a lost request; a read may have emptied a mailbox."""
         self._count["lost_requests"] += 1
         for datagram in request.datagrams:
-            command = datagram.command
-            if command.addressing in {_Addressing.NONE, _Addressing.LOGICAL}:
-                continue
-            for write in (False, True):
-                if not (command.writes if write else command.reads):
-                    continue
-                yield Transaction(
+            for device, write, address, data in self._sent(datagram):
+                transaction = Transaction(
                     frame=request.number,
                     time=self._seconds(request),
                     sent=self._seconds(request),
-                    device=self._device(command, datagram.adp),
+                    device=device,
                     write=write,
-                    address=datagram.ado,
-                    data=datagram.data,
+                    address=address,
+                    data=data,
                     working_counter=datagram.working_counter,
                     confirmed=False,
-                    command=command.name,
+                    command=datagram.command.name,
                     done=False,
                 )
+                self._mappings.observe(transaction)
+                yield transaction
+
+    def _sent(self, datagram: _Datagram) -> Iterator[tuple[int | None, bool, int, bytes]]:
+        """Yield the accesses that a request asks for: SubDevice, write, address, data."""
+        command = datagram.command
+        if command.addressing is _Addressing.LOGICAL:
+            for write, device, share in self._shares(datagram):
+                if share.whole_bytes:
+                    yield device, write, share.address, share.taken(datagram.data, b"")
+            return
+        for write in (False, True):
+            if command.writes if write else command.reads:
+                addressed = self._device(command, datagram.adp)
+                yield addressed, write, datagram.ado, datagram.data
 
     def _device(self, command: _Command, adp: int) -> int | None:
         match command.addressing:

@@ -16,7 +16,7 @@ import sys
 import traceback
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance.adapter import AdapterError, raise_local
 from ecatspec.conformance.adapters import FACTORIES
 from ecatspec.conformance.devices import UserError
 
@@ -103,6 +103,8 @@ def _perform(adapter: Adapter, request: dict[str, object]) -> str:
             return f'{{"ok":true,"wkc":{adapter.write(address, bytes.fromhex(text)):d}}}'
         case {"op": "advance", "seconds": float(seconds) | int(seconds)}:
             adapter.advance(seconds)
+        case {"op": "local", "event": str(event)}:
+            raise_local(adapter, event)
         case {"op": "reset"}:
             adapter.reset()
         case {"op": "close"}:

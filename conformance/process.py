@@ -7,6 +7,7 @@ One request, one reply, one line each:
     {"op":"read","address":304,"length":2}        {"ok":true,"wkc":1,"data":"0100"}
     {"op":"write","address":288,"data":"0200"}    {"ok":true,"wkc":1}
     {"op":"advance","seconds":0.5}                {"ok":true}
+    {"op":"local","event":"ds402.fault"}          {"ok":true}
     {"op":"close"}                                {"ok":true}
 
 A reply {"ok":false,"error":"text"} says that the call or the set-up was wrong: AdapterError.
@@ -114,6 +115,10 @@ class ProcessAdapter:
         """Let the device run; in real time the answer may take that much longer."""
         check_duration(seconds)
         self._exchange(f'{{"op":"advance","seconds":{float(seconds)!r}}}\n', extra=seconds)
+
+    def local(self, event: str) -> None:
+        """Make a local event befall the device."""
+        self._exchange(json.dumps({"op": "local", "event": event}) + "\n")
 
     def describe(self) -> Description:
         """Return the device's description: asked once, kept beyond the device's death."""

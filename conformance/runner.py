@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -14,8 +15,16 @@ from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.verdict import BLAMING, Outcome, Result, TraceLine, Verdict
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import Case, Limits, Probe, Stimulus
+from ecatspec.generators.bringup import has_process_data, way_to
+from ecatspec.generators.case import (
+    Case,
+    Happen,
+    Limits,
+    Probe,
+    ReadConfiguration,
+    SendFrame,
+    Stimulus,
+)
 from ecatspec.generators.strategies import requests
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
@@ -26,6 +35,7 @@ from ecatspec.spec.language.ir import Level
 if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Description
     from ecatspec.model.state import RuleName
+    from ecatspec.model.values import ObjectKey
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 
@@ -50,6 +60,9 @@ class Runner:
         self.verdicts: list[Verdict] = []
         self.rules: set[RuleName] = set()
         self.choices: dict[str, str] = dict(SHAPE)
+        self.session.oracle.raised = description.locals
+        self._configured: dict[ObjectKey, bytes] | None = None
+        """What was assigned and mapped at power-on, as far as it was read; None: not read yet."""
 
     def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases in order; a case of a layer that is not the device's own is skipped."""
@@ -67,9 +80,13 @@ class Runner:
         if case.feature in self.description.without:
             reason = f"{self.description.name} cannot carry it: {case.feature}, see its notes"
             return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
+        raised = {s.event for s in case.stimuli if isinstance(s, Happen)}
+        if missing := sorted(raised - self.description.locals):
+            reason = f"{self.description.name} cannot raise {', '.join(missing)}"
+            return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
         self.session.trace = []
         try:
-            self.session.begin(self.choices)
+            self.session.begin(self.choices, self._configuration())
             for position, stimulus in enumerate(case.stimuli):
                 if position == case.prelude and case.needs is not None:
                     states = self.session.oracle.al_states()
@@ -85,10 +102,42 @@ class Runner:
             return self._death(case, death)
         except AdapterError as trouble:
             return Verdict(case.name, Outcome.ERROR, case.title, str(trouble))
+        finally:
+            if any(self._configures(stimulus) for stimulus in case.stimuli):
+                self._configured = None
         oracle = self.session.oracle
         self.rules |= oracle.certain_rules()
         self.choices |= oracle.choices()
+        if surprises := oracle.surprises():
+            reason = f"{', '.join(surprises)} befell the device while it was tested"
+            return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
         return Verdict(case.name, Outcome.PASS, case.title)
+
+    def _configuration(self) -> dict[ObjectKey, bytes]:
+        """Give what the device has assigned and mapped at power-on; read it where it may differ.
+
+        A device that deviates meanwhile is left to the cases that show why.
+        """
+        if not has_process_data(self.model):
+            return {}
+        if self._configured is None:
+            self._configured = {}
+            self.session.begin(self.choices)
+            with contextlib.suppress(Deviation):
+                for stimulus in (*way_to(self.model, "PREOP"), ReadConfiguration()):
+                    self.session.apply(stimulus)
+                self._configured = {
+                    key: value
+                    for key, value in self.session.oracle.example().objects
+                    if self.model.image.configures(key[0])
+                }
+            self.session.trace = []
+        return self._configured
+
+    def _configures(self, stimulus: Stimulus) -> bool:
+        """Tell whether a request may change what is assigned or mapped."""
+        index = stimulus.fields.get("index") if isinstance(stimulus, SendFrame) else None
+        return isinstance(index, int) and self.model.image.configures(index)
 
     def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
         """Vary requests at random; every new cause is shrunk to its shortest run by replay."""

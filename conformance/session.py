@@ -4,33 +4,50 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, assert_never
 
+from ecatspec.conformance.adapter import raise_local
 from ecatspec.conformance.verdict import TraceLine
 from ecatspec.generators.case import (
+    Happen,
     Probe,
+    ReadConfiguration,
     Repeat,
     SendFrame,
     SendSegments,
+    SetUpProcessData,
     Stimulus,
+    StopOutputs,
+    Wait,
+    WriteOutputs,
     WriteRegister,
     WriteRegisters,
 )
 from ecatspec.generators.mailbox_cover import probe_entry
+from ecatspec.generators.process_data import image, settings
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.transfers import upload, upload_segment
-from ecatspec.model.esc import SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
+from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.model.words import message_words, register_words
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.model.compiled import Model
+    from ecatspec.model.values import ObjectKey
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+DATA_OUT, DATA_IN = PROCESS_DATA
+NOTHING: Final[Mapping[ObjectKey, bytes]] = MappingProxyType({})
 _SECOND = 1_000_000
 _FIRST_WAIT = 500
 _SLOWER = 4
+_CYCLE = 25_000
+"""Microseconds between two writes of the same process data, shorter than any usual watchdog."""
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
 
@@ -57,8 +74,11 @@ class Session:
     attempt: Exchange | None = None
     _counter: int = 0
     _shown: dict[str, int] = field(default_factory=dict)
+    _shown_words: dict[str, str] = field(default_factory=dict)
+    _outputs: dict[str, int] | None = None
+    """The words that are written cyclically, None where nothing is."""
 
-    def begin(self, choices: dict[str, str]) -> None:
+    def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
         """Power cycle the device."""
         self.adapter.reset()
         self.time = 0
@@ -66,7 +86,9 @@ class Session:
         self.attempt = None
         self._counter = 0
         self._shown = {}
-        self.oracle.power_on(choices)
+        self._shown_words = {}
+        self._outputs = None
+        self.oracle.power_on(choices, objects)
         self._look()
 
     def apply(self, stimulus: Stimulus) -> None:
@@ -98,7 +120,89 @@ class Session:
                 entry = probe_entry(self.model)
                 if entry is not None:
                     self._send(upload(entry.index, entry.subindex))
+            case ReadConfiguration():
+                self._read_configuration()
+            case SetUpProcessData():
+                for writes in settings(self.model, self.oracle.example(), stimulus):
+                    self.apply(writes)
+            case WriteOutputs():
+                self._outputs = {**(self._outputs or {}), **stimulus.words}
+                self._say_outputs(stimulus.words)
+                self._write_outputs()
+            case StopOutputs():
+                self._outputs = None
+                self._say("MainDevice", "writes no process data any more")
+            case Wait():
+                self._say("MainDevice", f"waits {stimulus.microseconds / 1000:.1f} ms")
+                self._wait(stimulus.microseconds)
+            case Happen():
+                machine, _, event = stimulus.event.partition(".")
+                self._say("SubDevice", f"is befallen by {event.replace('_', ' ')}")
+                raise_local(self.adapter, stimulus.event)
+                self.oracle.happened(machine, event, self.time)
+            case _:
+                assert_never(stimulus)
         self._settle()
+
+    # --- process data -----------------------------------------------------------------------------
+
+    def _read_configuration(self) -> None:
+        for name in (OUTPUTS, INPUTS):
+            assignment = self.model.image.assignments[name]
+            for pdo in self._read_object(assignment):
+                self._read_object(pdo)
+
+    def _read_object(self, index: int) -> list[int]:
+        """Read the entries that an object counts; give those that are known then."""
+        if (index, 0) not in self.model.dictionary.entries:
+            return []
+        self._ask(index, 0)
+        known = self.oracle.example().known()
+        count = known.get((index, 0), b"\0")[0]
+        for subindex in range(1, count + 1):
+            self._ask(index, subindex)
+        known = self.oracle.example().known()
+        found = (known.get((index, subindex)) for subindex in range(1, count + 1))
+        return [int.from_bytes(value, "little") for value in found if value]
+
+    def _ask(self, index: int, subindex: int) -> None:
+        entry = self.model.dictionary.entries.get((index, subindex))
+        if entry is not None and not (entry.constant and entry.default is not None):
+            self._send(upload(index, subindex))
+            self._settle()
+
+    def _say_outputs(self, words: Mapping[str, int]) -> None:
+        told = [
+            register_words(
+                self.model,
+                name,
+                {
+                    bits.name: raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+                    for bits in self.model.protocol.words[name].fields
+                },
+            )
+            for name, raw in words.items()
+        ]
+        self._say("MainDevice", f"writes process data {'; '.join(told)}".strip())
+
+    def _write_outputs(self) -> None:
+        if self._outputs is not None:
+            data = image(self.model, self.oracle.example(), self._outputs)
+            if data is not None:
+                self._write(self.model.parameter("process_data_out", "start"), data)
+
+    def _read_inputs(self) -> None:
+        area = self.oracle.process_area(DATA_IN)
+        if area is not None:
+            counter, data = self.adapter.read(*area)
+            self._show_inputs(data if counter else b"")
+            self._observe(self._exchange(area[0], data, counter))
+
+    def _show_inputs(self, data: bytes) -> None:
+        for name, words in self.oracle.words_in(data):
+            if self._shown_words.get(name) != words:
+                self._shown_words[name] = words
+                self._say("SubDevice", f"shows {words}")
 
     # --- mailbox ----------------------------------------------------------------------------------
 
@@ -145,7 +249,7 @@ class Session:
             self._look(unread=unread)
             if self.oracle.settled(self.time, unread=unread):
                 return
-            deadline = self.oracle.deadline()
+            deadline = self.oracle.deadline(self.time)
             left = 0 if deadline is None else deadline - self.time + 1
             self._wait(max(1, min(wait, left)))
             wait *= _SLOWER
@@ -155,6 +259,7 @@ class Session:
         self._read_register("al_status")
         self._read_register("al_status_code")
         self._read_register(f"{MAIN_IN}_pdi_control")
+        self._read_inputs()
         if unread:
             self._full()
             return
@@ -209,8 +314,12 @@ class Session:
             raise Deviation(mismatch)
 
     def _wait(self, microseconds: int) -> None:
-        self.adapter.advance(microseconds / _SECOND)
-        self.time += microseconds
+        until = self.time + microseconds
+        while self.time < until:
+            part = until - self.time if self._outputs is None else min(_CYCLE, until - self.time)
+            self.adapter.advance(part / _SECOND)
+            self.time += part
+            self._write_outputs()
 
     def _say(self, who: str, what: str) -> None:
         self.trace.append(TraceLine(self.time, who, what))

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.case import Case, Probe, Stimulus, WriteRegister, WriteRegisters
+from ecatspec.generators.case import (
+    Case,
+    Probe,
+    SetUpProcessData,
+    Stimulus,
+    WriteOutputs,
+    WriteRegister,
+    WriteRegisters,
+)
 from ecatspec.model.esc import SYNC_MANAGERS
 
 if TYPE_CHECKING:
@@ -14,6 +22,7 @@ if TYPE_CHECKING:
 
 AREAS = {"sync_manager_0": "mailbox_out", "sync_manager_1": "mailbox_in"}
 DIRECTIONS = {"sync_manager_0": "main_writes", "sync_manager_1": "main_reads"}
+_BEFORE: Mapping[str, Stimulus] = {"SAFEOP": SetUpProcessData(), "OP": WriteOutputs()}
 WAY_UP = ("INIT", "PREOP", "SAFEOP", "OP")
 
 
@@ -54,9 +63,18 @@ def request(value: int, *, acknowledge: bool = False) -> WriteRegister:
 
 def way_to(model: Model, state: str) -> tuple[Stimulus, ...]:
     """Give the stimuli from power-on to an AL state on the way up."""
-    wanted = WAY_UP[1 : WAY_UP.index(state) + 1]
-    requests = tuple(request(row(model, "al_state", name)) for name in wanted)
-    return (*mailbox_settings(model), *requests)
+    stimuli: list[Stimulus] = list(mailbox_settings(model))
+    for name in WAY_UP[1 : WAY_UP.index(state) + 1]:
+        if name in _BEFORE and has_process_data(model):
+            stimuli.append(_BEFORE[name])
+        stimuli.append(request(row(model, "al_state", name)))
+    return tuple(stimuli)
+
+
+def has_process_data(model: Model) -> bool:
+    """Tell whether the texts declare what is assigned to the process data."""
+    assignments = model.image.assignments.values()
+    return any((index, 0) in model.dictionary.entries for index in assignments)
 
 
 def case_in(

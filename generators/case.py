@@ -55,7 +55,65 @@ class Probe:
     """A request that every device answers: shows that the mailbox is alive."""
 
 
-Stimulus: TypeAlias = WriteRegister | WriteRegisters | SendFrame | SendSegments | Repeat | Probe
+@dataclass(frozen=True, slots=True)
+class ReadConfiguration:
+    """The MainDevice reads by SDO what is assigned to the process data and mapped into it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetUpProcessData:
+    """The MainDevice sets the process data SyncManagers to what is assigned and mapped.
+
+    `changes` deviates field by field of a register, `longer` by bytes of a SyncManager.
+    """
+
+    changes: Mapping[str, Mapping[str, int]] = field(default_factory=dict, hash=False)
+    longer: Mapping[str, int] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOutputs:
+    """The MainDevice writes process data and goes on cyclically.
+
+    `words` are values of words by name; others keep what was written last, all else is 0.
+    """
+
+    words: Mapping[str, int] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class StopOutputs:
+    """The MainDevice writes no process data any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wait:
+    """Time passes; while process data are written cyclically they are."""
+
+    microseconds: int
+
+
+@dataclass(frozen=True, slots=True)
+class Happen:
+    """A local event (`machine.input`) befalls the device; the adapter raises it."""
+
+    event: str
+
+
+Stimulus: TypeAlias = (
+    WriteRegister
+    | WriteRegisters
+    | SendFrame
+    | SendSegments
+    | Repeat
+    | Probe
+    | ReadConfiguration
+    | SetUpProcessData
+    | WriteOutputs
+    | StopOutputs
+    | Wait
+    | Happen
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,18 +9,15 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import mailbox_settings, request, row
+from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, row
 from ecatspec.generators.case import (
     Case,
-    Probe,
-    Repeat,
-    SendFrame,
-    SendSegments,
+    SetUpProcessData,
     Stimulus,
+    WriteOutputs,
     WriteRegister,
-    WriteRegisters,
 )
-from ecatspec.generators.stimulus import register_bytes, registers_bytes
+from ecatspec.generators.play import play
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.subdevice import VirtualSubDevice
 
@@ -42,7 +39,11 @@ def symbols(model: Model) -> tuple[Symbol, ...]:
         **states,
         **{value: f"value_{value}" for value in (invalid[0], invalid[1], invalid[-1])},
     }
-    found: list[Symbol] = [("set_up", mailbox_settings(model))]
+    process_data = has_process_data(model)
+    set_up = mailbox_settings(model)
+    found: list[Symbol] = [("set_up", (*set_up, SetUpProcessData()) if process_data else set_up)]
+    if process_data:
+        found.append(("outputs", (WriteOutputs(),)))
     for value, name in tried.items():
         found.append((f"request_{name}", (request(value),)))
         found.append((f"acknowledge_{name}", (request(value, acknowledge=True),)))
@@ -110,15 +111,8 @@ def _case(way: tuple[Symbol, ...], symbol: Symbol) -> Case:
 
 def _reached(device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]) -> tuple[object, ...]:
     device.reset()
-    for _, stimuli in way:
-        for stimulus in stimuli:
-            match stimulus:
-                case WriteRegister():
-                    device.write(*register_bytes(model, stimulus))
-                case WriteRegisters():
-                    device.write(*registers_bytes(model, stimulus))
-                case SendFrame() | SendSegments() | Repeat() | Probe():
-                    raise TypeError("the AL inputs are register writes")
-    slots = device.state.slots
+    play(model, device, (stimulus for _, stimuli in way for stimulus in stimuli))
+    slots = [device.state.slots[model.slots[name]] for name in ("al.state", "al.error")]
+    fed = device.state.slots[model.slots["process_data.fed"]]
     enabled = tuple(device.esc.register(f"{name}_activation") for name in SYNC_MANAGERS)
-    return (slots[model.slots["al.state"]], slots[model.slots["al.error"]], enabled)
+    return (*slots, fed, enabled)

@@ -17,8 +17,9 @@ from ecatspec.model.evaluate import (
     remembered,
 )
 from ecatspec.model.functions import PLAIN
+from ecatspec.model.process_image import ProcessImage
 from ecatspec.model.state import Event, RuleName, State
-from ecatspec.model.values import UNKNOWN, Value
+from ecatspec.model.values import UNKNOWN, Pattern, Value
 from ecatspec.spec.language.ir import (
     Access,
     After,
@@ -54,6 +55,7 @@ from ecatspec.spec.language.scope import (
     Scope,
     StateRef,
     VariableRef,
+    WordFieldRef,
     expectation,
     frame_fields,
     names_in,
@@ -62,7 +64,17 @@ from ecatspec.spec.language.scope import (
 
 if TYPE_CHECKING:
     from ecatspec.model.codec import Message
-    from ecatspec.spec.language.ir import Give, Machine, Protocol, Register, Send, Update
+    from ecatspec.model.values import ObjectKey
+    from ecatspec.spec.language.ir import (
+        Give,
+        Machine,
+        Protocol,
+        Register,
+        RegisterField,
+        Send,
+        Update,
+        Word,
+    )
 
 
 MAILBOX = "mailbox"
@@ -84,6 +96,19 @@ class CompiledRule:
     within: Getter | None
     gap: bool
     later: Later | None = None
+    take: Getter | None = None
+    timers: tuple[Timer, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Timer:
+    """An event that comes by itself: machine, input, parameters, not before, at the latest."""
+
+    machine: str
+    input: str
+    arguments: tuple[tuple[str, Getter], ...]
+    after: Getter | None
+    within: Getter
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +122,7 @@ class Later:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """One field of a register as the MainDevice reads it."""
+    """One field of a register or a word as the MainDevice reads it."""
 
     name: str
     low: int
@@ -106,6 +131,12 @@ class View:
     expression: Expression
     value: Getter
     condition: Getter | None
+
+    def present(self, environment: Environment) -> Value:
+        """Give what the field reads as, unknown where nothing is said."""
+        if self.condition is not None and self.condition(environment) is not True:
+            return UNKNOWN
+        return self.value(environment)
 
 
 class Model:
@@ -117,7 +148,8 @@ class Model:
         self.assuming = assuming
         self.codec = Codec(protocol)
         self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
-        self._functions = PLAIN | self.dictionary.functions
+        self.image = ProcessImage(protocol, self.dictionary, self._span)
+        self._functions = PLAIN | self.dictionary.functions | self.image.functions
         self.slots: dict[str, int] = {}
         self._definitions: dict[str, Getter] = {}
         initial: list[Value | None] = []
@@ -136,13 +168,27 @@ class Model:
         self._named = {rule.name: rule for rules in self.rules.values() for rule in rules}
         mailbox = protocol.machines[MAILBOX]
         self._roots = [o for i in mailbox.inputs if i.kind == "frame" for o in i.origin]
-        self.locals = tuple(
-            Event(machine.name, i.name, {})
-            for machine in protocol.machines.values()
-            for i in machine.inputs
-            if i.kind == "local"
-        )
-        """What may happen inside the device at any time."""
+        self.own = self._events("own")
+        """What the device may do at any time."""
+        self.locals = self._events("local")
+        """What may befall the device."""
+        self.outputs = self._events("outputs")
+        """The inputs that take process data."""
+        self.word_inputs = {
+            word: tuple(
+                (machine.name, i.name)
+                for machine in protocol.machines.values()
+                for i in machine.inputs
+                if i.kind == "word" and word in i.origin
+            )
+            for word in protocol.words
+        }
+        self.words: dict[ObjectKey, Word] = {
+            word.key: word
+            for word in protocol.words.values()
+            if word.key in self.dictionary.entries
+        }
+        """The words of objects that the device has."""
         self.fetched = Event(MAILBOX, "fetched", {})
         """The MainDevice has read a message."""
         self._properties = [
@@ -150,7 +196,27 @@ class Model:
             for law in protocol.properties.values()
         ]
         self.views = {r.name: self._views(r) for r in protocol.registers.values()}
+        self.views |= {w.name: self._views(w) for w in protocol.words.values()}
+        for key, word in self.words.items():
+            if self.views[word.name]:
+                self.dictionary.shown[key] = self._reads(word)
         self.replies = {name: self._reply_fields(name) for name in protocol.frames}
+
+    def _events(self, kind: str) -> tuple[Event, ...]:
+        return tuple(
+            Event(machine.name, i.name, {})
+            for machine in self.protocol.machines.values()
+            for i in machine.inputs
+            if i.kind == kind
+        )
+
+    def signature(self, event: Event) -> tuple[tuple[str, Type], ...]:
+        """Give the parameters of an input with their types."""
+        inputs = self.protocol.machines[event.machine].inputs
+        return next(i.parameters for i in inputs if i.name == event.input)
+
+    def _span(self, area: str) -> tuple[int, int]:
+        return self.parameter(area, "start"), self.parameter(area, "length")
 
     # --- names of slots ---------------------------------------------------------------------------
 
@@ -176,6 +242,7 @@ class Model:
             for register in protocol.registers.values()
             if register.main is Access.BOTH
         ]
+        found += [(f"word {word}", 0) for word in protocol.words]
         return found
 
     def slot(self, ref: Ref) -> int:
@@ -289,7 +356,11 @@ class Model:
                 slot = self.slot(ref)
                 return lambda environment: _present(environment.slots[slot])
             case RegisterFieldRef(register=register, field=field):
-                return self._register_field(register, field)
+                text = self.protocol.registers[register]
+                return self._field(self.slots[f"register {register}"], text.fields, field)
+            case WordFieldRef(word=word, field=field):
+                fields = self.protocol.words[word].fields
+                return self._field(self.slots[f"word {word}"], fields, field)
             case ParameterRef(name=name, part=part):
                 return constant(self.parameter(name, part))
             case ChoiceRef(name=name):
@@ -321,21 +392,37 @@ class Model:
 
         return choice
 
-    def _register_field(self, register: str, field: str) -> Getter:
-        text = self.protocol.registers[register]
-        bits = next(item for item in text.fields if item.name == field)
-        slot = self.slots[f"register {register}"]
+    def _field(self, slot: int, fields: tuple[RegisterField, ...], name: str) -> Getter:
+        bits = next(item for item in fields if item.name == name)
         mask = (1 << (bits.high - bits.low + 1)) - 1
         truth = isinstance(bits.type, Bool)
 
-        def register_field(environment: Environment) -> Value:
+        def field(environment: Environment) -> Value:
             value = environment.slots[slot]
             if not isinstance(value, int):
                 return UNKNOWN
             content = value >> bits.low & mask
             return bool(content) if truth else content
 
-        return register_field
+        return field
+
+    def _reads(self, word: Word) -> Getter:
+        """Give what the object of a word reads as: the bits that the texts show."""
+        views = self.views[word.name]
+
+        def reads(environment: Environment) -> Value:
+            raw = mask = 0
+            for view in views:
+                value = view.present(environment)
+                if not isinstance(value, Pattern | bytes | str):
+                    raw |= int(value) << view.low
+                    mask |= ((1 << view.width) - 1) << view.low
+            content, certain = (n.to_bytes(word.size, "little") for n in (raw, mask))
+            if self.assuming:
+                return content
+            return Pattern(lengths=(word.size, word.size), content=content, mask=certain)
+
+        return reads
 
     def _rule(self, machine: str, rule: Rule | Gap) -> CompiledRule:
         scope = Scope(machine, rule.input)
@@ -378,6 +465,17 @@ class Model:
             None if rule.within is None else self.expression(rule.within, scope, None),
             gap=False,
             later=after,
+            take=None if rule.take is None else self.expression(rule.take, scope, None),
+            timers=tuple(
+                Timer(
+                    later.target.partition(".")[0],
+                    later.target.partition(".")[2],
+                    tuple((n, self.expression(e, scope, None)) for n, e in later.arguments),
+                    None if later.after is None else self.expression(later.after, scope, None),
+                    self.expression(later.within, scope, None),
+                )
+                for later in rule.laters
+            ),
         )
 
     def _updates(self, updates: tuple[Update, ...], scope: Scope) -> tuple[tuple[int, Getter], ...]:
@@ -411,7 +509,7 @@ class Model:
             for name, value in send.fields
         )
 
-    def _views(self, register: Register) -> tuple[View, ...]:
+    def _views(self, register: Register | Word) -> tuple[View, ...]:
         views = []
         for field in register.fields:
             if field.shows is None:

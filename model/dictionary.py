@@ -40,6 +40,8 @@ class ObjectDictionary:
         self._types = _rows(protocol, "data_type")
         self._codes = _rows(protocol, "object_code")
         self._lists = _rows(protocol, "object_list_type")
+        self.shown: dict[ObjectKey, Callable[[Environment], Value]] = {}
+        """What objects read as whose bits the texts show."""
         self._highest: dict[int, int] = {}
         for index, subindex in self.entries:
             self._highest[index] = max(self._highest.get(index, 0), subindex)
@@ -65,6 +67,8 @@ class ObjectDictionary:
             "size_allowed": self._of_entry(lambda e, _, a: _size_allowed(e, a[2])),
             "present_size": self._of_entry(self._present_size),
             "value_of": self._of_entry(self._value_of),
+            "has_value": self._of_entry(self._has_value),
+            "number_of": self._of_entry(self._number_of),
             "in_range": self._of_entry(lambda e, _, a: _compare(e, a[2]) == 0),
             "too_high": self._of_entry(lambda e, _, a: _compare(e, a[2]) > 0),
             "too_low": self._of_entry(lambda e, _, a: _compare(e, a[2]) < 0),
@@ -133,6 +137,9 @@ class ObjectDictionary:
     def _value_of(
         self, entry: ObjectEntry, environment: Environment, _: tuple[Value, ...]
     ) -> Value:
+        shown = self.shown.get((entry.index, entry.subindex))
+        if shown is not None:
+            return shown(environment)
         known = self._known(entry, environment)
         most = size_of(entry)
         least = 0 if size_varies(entry) else most
@@ -142,6 +149,23 @@ class ObjectDictionary:
         if self._exact or not size_varies(entry):
             return known
         return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"))
+
+    def known(self, environment: Environment, key: ObjectKey) -> bytes | None:
+        """Give the present value of an entry as bytes; None where it is not known."""
+        entry = self.entries.get(key)
+        return None if entry is None else self._known(entry, environment)
+
+    def _number_of(
+        self, entry: ObjectEntry, environment: Environment, _: tuple[Value, ...]
+    ) -> Value:
+        known = self._known(entry, environment)
+        return UNKNOWN if known is None else decode_value(entry, known)
+
+    def _has_value(
+        self, entry: ObjectEntry, environment: Environment, arguments: tuple[Value, ...]
+    ) -> Value:
+        known = self._known(entry, environment)
+        return UNKNOWN if known is None else known == arguments[2]
 
     def _known(self, entry: ObjectEntry, environment: Environment) -> bytes | None:
         if entry.constant and entry.default is not None:

@@ -23,6 +23,7 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
+from ecatspec.spec.language.scope import EDGES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -99,6 +100,8 @@ def compile_expression(
             return _membership(compiled(operand), [_bounds(item, compiled) for item in items])
         case Conditional(condition=condition, then=then, otherwise=otherwise):
             return _conditional(compiled(condition), compiled(then), compiled(otherwise))
+        case Call(function=name, arguments=(Name(path=path) as argument,)) if name in EDGES:
+            return _edge(lookup(argument), path.rpartition(".")[2], up=EDGES[name])
         case Call(function=name, arguments=arguments):
             call = _call(functions[name], [compiled(argument) for argument in arguments])
             paths = [argument.path for argument in arguments if isinstance(argument, Name)]
@@ -207,17 +210,51 @@ def _conditional(condition: Getter, then: Getter, otherwise: Getter) -> Getter:
     def conditional(environment: Environment) -> Value:
         value = condition(environment)
         if isinstance(value, Pattern):
-            first, second = then(environment), otherwise(environment)
-            return first if first == second else UNKNOWN
+            return _either(then(environment), otherwise(environment))
         return then(environment) if value else otherwise(environment)
 
     return conditional
+
+
+def _either(first: Value, second: Value) -> Value:
+    """Give what a value may be that is one of two."""
+    if first == second:
+        return first
+    ranges = [_as_ranges(value) for value in (first, second)]
+    if None in ranges:
+        return UNKNOWN
+    return Pattern(tuple(pair for known in ranges for pair in known or ()))
+
+
+def _as_ranges(value: Value) -> tuple[tuple[int, int], ...] | None:
+    if isinstance(value, Pattern):
+        return None if value.excluded is not None or value.lengths is not None else value.ranges
+    return ((value, value),) if type(value) is int else None
 
 
 def _call(function: Function, arguments: list[Getter]) -> Getter:
     return lambda environment: function(
         environment, tuple(argument(environment) for argument in arguments)
     )
+
+
+def before(name: str) -> str:
+    """Give the name under which an input has the value that its parameter had before."""
+    return f"before {name}"
+
+
+def _edge(now: Getter, name: str, *, up: bool) -> Getter:
+    earlier = before(name)
+
+    def edge(environment: Environment) -> Value:
+        value, past = now(environment), environment.parameters.get(earlier, UNKNOWN)
+        if value is not up and not isinstance(value, Pattern):
+            return False
+        if past is up:
+            return False
+        return UNKNOWN if isinstance(value, Pattern) or isinstance(past, Pattern) else True
+
+    return edge
 
 
 def _one_of(bounds: list[tuple[Getter, Getter]], excluded: Getter | None) -> Getter:

@@ -53,6 +53,12 @@ def _zeros(count: Value) -> Value:
     return bytes(max(0, count)) if isinstance(count, int) else UNKNOWN
 
 
+def _bit(number: Value, place: Value) -> Value:
+    if isinstance(number, int) and isinstance(place, int) and place >= 0:
+        return bool(number >> place & 1)
+    return UNKNOWN
+
+
 PLAIN: dict[str, Function] = {
     "length": lambda _, a: len(a[0]) if isinstance(a[0], bytes) else UNKNOWN,
     "join": lambda _, a: _join(a[0], a[1]),
@@ -60,6 +66,9 @@ PLAIN: dict[str, Function] = {
     "zeros": lambda _, a: _zeros(a[0]),
     "word": lambda _, a: a[0].to_bytes(2, "little") if isinstance(a[0], int) else UNKNOWN,
     "piece": lambda _, a: _piece(*a),
+    "number": lambda _, a: int.from_bytes(a[0], "little") if isinstance(a[0], bytes) else UNKNOWN,
+    "bit": lambda _, a: _bit(a[0], a[1]),
+    "microseconds": lambda _, a: a[0],
     "lesser": lambda _, a: _lesser(a[0], a[1]),
 }
 """The functions of byte strings and numbers, which need no object dictionary."""

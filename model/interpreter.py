@@ -5,19 +5,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ecatspec.model.compiled import rows_of
-from ecatspec.model.evaluate import Environment
-from ecatspec.model.state import Event, Output, RuleName, State, Step
+from ecatspec.model.evaluate import Environment, before
+from ecatspec.model.process_image import OUTPUTS, taken
+from ecatspec.model.state import Alarm, Event, Output, RuleName, State, Step
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
-from ecatspec.spec.language.scope import REPLY
+from ecatspec.spec.language.ir import Bool
+from ecatspec.spec.language.scope import CYCLIC, REPLY
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from ecatspec.model.codec import Message
-    from ecatspec.model.compiled import CompiledRule, Model
+    from ecatspec.model.compiled import CompiledRule, Model, Timer
     from ecatspec.model.evaluate import Getter
+    from ecatspec.model.values import ObjectKey
+    from ecatspec.spec.language.ir import RegisterField
 
 DELIVER, RESEND = "deliver", "resend"
+_BYTE = 8
+_AGES = 1 << 40
+"""Microseconds in which anything would have happened."""
 
 
 def step(model: Model, state: State, event: Event) -> tuple[Step, ...]:
@@ -34,20 +41,19 @@ def step(model: Model, state: State, event: Event) -> tuple[Step, ...]:
 def _complete(model: Model, partial: Step, given: tuple[Event, ...]) -> list[Step]:
     done = [partial]
     for event in given:
-        done = [
-            _joined(before, after) for before in done for after in step(model, before.state, event)
-        ]
+        done = [_joined(first, then) for first in done for then in step(model, first.state, event)]
     return done
 
 
-def _joined(before: Step, after: Step) -> Step:
+def _joined(first: Step, then: Step) -> Step:
     return Step(
-        after.state,
-        before.rules + after.rules,
-        before.outputs + after.outputs,
-        max(before.within, after.within),
-        before.unspecified or after.unspecified,
-        after.resend or before.resend,
+        then.state,
+        first.rules + then.rules,
+        first.outputs + then.outputs,
+        max(first.within, then.within),
+        first.unspecified or then.unspecified,
+        then.resend or first.resend,
+        first.alarms + then.alarms,
     )
 
 
@@ -103,13 +109,21 @@ def _apply(
     ]
     given = _arguments(rule.gives, environment)
     within = 0 if rule.within is None else rule.within(environment)
+    image = None if rule.take is None else rule.take(environment)
+    alarms = tuple(_alarm(timer, environment) for timer in rule.timers)
     if environment.undecided:
         return _decide(model, state, event, min(environment.undecided))
     after = _updated(state, values)
     if rule.target is not None:
         after = after.having(model.slots[f"{event.machine}.state"], rule.target)
+    words: list[Event] = []
     for index, subindex, content, complete in stores:
-        after = _stored(model, environment, after, (index, subindex), content, complete=complete)
+        place = (index, subindex)
+        after, came = _stored(model, environment, after, place, content, complete=complete)
+        words += came
+    if image is not None:
+        after, came = _spread(model, environment, after, image)
+        words += came
     limit = within if isinstance(within, int) else 0
     kept = None if rule.later is None else tuple(sorted(event.parameters.items()))
     outputs = tuple(Output(frame, fields, rule.name, kept, limit) for frame, fields in sends)
@@ -117,7 +131,20 @@ def _apply(
     events = tuple(
         e for target, arguments in given for e in _given(model, event, target, arguments)
     )
-    return [(Step(after, (rule.name,), outputs, limit, resend=resend), events)]
+    done = Step(after, (rule.name,), outputs, limit, resend=resend, alarms=alarms)
+    return [(done, (*words, *events))]
+
+
+def _alarm(timer: Timer, environment: Environment) -> Alarm:
+    arguments = {name: getter(environment) for name, getter in timer.arguments}
+    after = 0 if timer.after is None else timer.after(environment)
+    within = timer.within(environment)
+    # what is not known may come at once, and late
+    return Alarm(
+        Event(timer.machine, timer.input, arguments),
+        after if isinstance(after, int) else 0,
+        within if isinstance(within, int) else _AGES,
+    )
 
 
 def _arguments(
@@ -143,22 +170,87 @@ def _stored(
     content: Value,
     *,
     complete: bool,
-) -> State:
-    """Give the state after a write; what is written but not known makes the object unknown."""
+) -> tuple[State, list[Event]]:
+    """Give the state after a write and the events of words that were written.
+
+    What is written but not known makes the object unknown.
+    """
     index, subindex = place
     if not isinstance(index, int) or not isinstance(subindex, int):
-        return state
+        return state, []
     if not complete:
-        key = (index, subindex)
-        return state.keeping(key, content) if isinstance(content, bytes) else state.forgetting(key)
-    if isinstance(content, bytes):
-        for key, part in model.dictionary.split(environment, index, subindex, content):
-            state = state.keeping(key, part)
-        return state
-    for key in model.dictionary.entries:
-        if key[0] == index:
-            state = state.forgetting(key)
-    return state
+        parts: list[tuple[ObjectKey, Value]] = [((index, subindex), content)]
+    elif isinstance(content, bytes):
+        parts = list(model.dictionary.split(environment, index, subindex, content))
+    else:
+        parts = [(key, UNKNOWN) for key in model.dictionary.entries if key[0] == index]
+    events: list[Event] = []
+    for key, part in parts:
+        state = state.keeping(key, part) if isinstance(part, bytes) else state.forgetting(key)
+        raw = int.from_bytes(part, "little") if isinstance(part, bytes) else UNKNOWN
+        state, came = _worded(model, state, key, raw, cyclic=False)
+        events += came
+    return state, events
+
+
+def _spread(
+    model: Model, environment: Environment, state: State, image: Value
+) -> tuple[State, list[Event]]:
+    """Give the state and the events of words after process data were taken."""
+    layout = model.image.layout(environment, OUTPUTS)
+    found: list[tuple[ObjectKey, Value]] = []
+    if layout is None or not isinstance(image, bytes):
+        # which words there are is not known
+        found = [(key, UNKNOWN) for key, word in model.words.items() if not model.views[word.name]]
+    else:
+        for mapped in layout:
+            raw = taken(image, mapped)
+            if mapped.key in model.dictionary.entries and raw is not None:
+                found.append((mapped.key, raw))
+                size = -(-mapped.bits // _BYTE)
+                # when it takes effect only the device knows
+                state = (
+                    state.keeping(mapped.key, raw.to_bytes(size, "little"))
+                    if model.assuming
+                    else state.forgetting(mapped.key)
+                )
+    events: list[Event] = []
+    for key, value in found:
+        state, came = _worded(model, state, key, value, cyclic=True)
+        events += came
+    return state, events
+
+
+def _worded(
+    model: Model, state: State, key: ObjectKey, raw: Value, *, cyclic: bool
+) -> tuple[State, list[Event]]:
+    """Give the state after an object took a value, and the events if it is a word."""
+    word = model.words.get(key)
+    if word is None:
+        return state, []
+    slot = model.slots[f"word {word.name}"]
+    parameters = fields_with_before(word.fields, raw, state.slots[slot])
+    parameters[CYCLIC] = cyclic
+    events = [Event(machine, name, parameters) for machine, name in model.word_inputs[word.name]]
+    return state.having(slot, raw), events
+
+
+def fields_with_before(
+    fields: Iterable[RegisterField], raw: Value, past: Value | None
+) -> dict[str, Value]:
+    """Give the fields of a register or word as parameters, and what they were before."""
+    found: dict[str, Value] = {}
+    for bits in fields:
+        found[bits.name] = _part(bits, raw)
+        found[before(bits.name)] = _part(bits, past)
+    return found
+
+
+def _part(bits: RegisterField, raw: Value | None) -> Value:
+    if not isinstance(raw, int):
+        return UNKNOWN
+    value = raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+    return bool(value) if isinstance(bits.type, Bool) else value
 
 
 def _given(model: Model, event: Event, target: str, arguments: Mapping[str, Value]) -> list[Event]:
@@ -189,8 +281,8 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
     Nothing: the output does not allow the message.
     """
     if output.again is not None:
-        before = model.decode(output.again)
-        same = not output.again or (before is not None and before.fields == message.fields)
+        first = model.decode(output.again)
+        same = not output.again or (first is not None and first.fields == message.fields)
         return [Step(state, (), (), 0)] if same else []
     if output.frame not in message.trail:
         return []

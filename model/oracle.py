@@ -13,35 +13,42 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.dictionary import CROWDED
-from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import (
     afterwards,
     differing,
     expected_fields,
+    fields_with_before,
     later_fields,
     matches,
     rule_clauses,
     step,
 )
+from ecatspec.model.process_image import INPUTS
+from ecatspec.model.process_image import taken as bits_of
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, is_any
 from ecatspec.model.words import fields_words, message_words, register_words
 from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
-from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, names_in, resolve
+from ecatspec.spec.language.scope import IMAGE, Scope, StateRef, VariableRef, names_in, resolve
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model, View
     from ecatspec.model.state import Step
-    from ecatspec.spec.language.ir import Register
+    from ecatspec.model.values import ObjectKey
+    from ecatspec.spec.language.ir import Register, Word
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+DATA_OUT, DATA_IN = PROCESS_DATA
 REFUSAL = "mailbox_error"
 """The frame that may overtake an answer: the request came while another was in work."""
 _LIMIT = 256
+_SURPRISES = 2
+"""How much a device may do by itself, or may befall it, between two looks."""
 _REMEMBERED = 64
 
 
@@ -56,14 +63,27 @@ class Exchange:
     working_counter: int
     reference: str = ""
 
+    def span(self) -> tuple[int, int]:
+        """Give address and length."""
+        return self.address, len(self.data)
+
 
 @dataclass(frozen=True, slots=True)
 class Pending:
-    """An input that the device has, and until when it may leave it unserved (`within` from now)."""
+    """An input that the device has, and until when it may leave it unserved (`within` from now).
+
+    A `timer` comes by itself, not before `since`; for others that is when they came.
+    """
 
     event: Event
     deadline: int
     within: int = 0
+    since: int = 0
+    timer: bool = False
+
+    def target(self) -> tuple[str, str]:
+        """Give the machine and the input."""
+        return self.event.machine, self.event.input
 
 
 class Loose(IntEnum):
@@ -90,6 +110,8 @@ class Candidate:
     loose: Loose = Loose.NONE
     ready: int = 0
     last: bytes | None = None
+    befell: tuple[str, ...] = ()
+    """What befell the device without anybody having raised it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,15 +136,26 @@ class Oracle:
     unspecified: bool = False
     written: int = 0
     """When the MainDevice last wrote what the device may still be busy with."""
+    raised: frozenset[str] = frozenset()
+    """Local events (`machine.input`) that befall the device only when they are raised."""
     _known_steps: dict[tuple[int, State], tuple[Event, tuple[Step, ...]]] = field(
         default_factory=dict
     )
 
     # --- beginnings -------------------------------------------------------------------------------
 
-    def power_on(self, choices: dict[str, str] | None = None) -> None:
-        """Begin with a device that was just switched on; `choices` are known ways it goes."""
+    def power_on(
+        self,
+        choices: dict[str, str] | None = None,
+        objects: Mapping[ObjectKey, bytes] | None = None,
+    ) -> None:
+        """Begin with a device that was just switched on.
+
+        `choices` are known ways it goes, `objects` values that it is known to have then.
+        """
         state = self.model.initial
+        for key, value in (objects or {}).items():
+            state = state.keeping(key, value)
         for name, alternative in (choices or {}).items():
             state = state.having(self.model.slots[f"choice {name}"], alternative)
         self.candidates = {Candidate(state): ()}
@@ -137,7 +170,7 @@ class Oracle:
             if name.startswith("choice "):
                 if self.candidates:
                     base = base.having(slot, self._agreed(slot))
-            elif name.startswith("register "):
+            elif name.startswith(("register ", "word ")):
                 base = base.having(slot, kept.slots[slot] if kept else UNKNOWN)
             elif not name.endswith(".state"):
                 base = base.having(slot, UNKNOWN)
@@ -146,6 +179,7 @@ class Oracle:
             slot = self.model.slots[f"{machine}.state"]
             values = self.model.state_names(machine)
             states = [state.having(slot, value) for state in states for value in values]
+            states = [state for state in states if not self.model.broken(state)]
         self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
 
     # --- one exchange -----------------------------------------------------------------------------
@@ -164,13 +198,17 @@ class Oracle:
         for candidate in self._expanded(time):
             if candidate.outbox and not unread:
                 return False
-            if any(not (candidate.outbox and p.event.trail) for p in candidate.inbox):
+            if any(
+                not (candidate.outbox and p.event.trail) for p in candidate.inbox if p.since <= time
+            ):
                 return False
         return True
 
-    def deadline(self) -> int | None:
-        """Give the time by which all that may still be to come must have come."""
-        deadlines = [p.deadline for candidate in self.candidates for p in candidate.inbox]
+    def deadline(self, time: int) -> int | None:
+        """Give the time by which all that may be to come at `time` must have come."""
+        deadlines = [
+            p.deadline for candidate in self.candidates for p in candidate.inbox if p.since <= time
+        ]
         deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
         return max(deadlines, default=None)
 
@@ -196,6 +234,39 @@ class Oracle:
         """Give the rules that were to serve a write during which the device died."""
         self.observe(exchange)
         return self.due_rules()
+
+    def happened(self, machine: str, event: str, time: int) -> None:
+        """Take it that somebody made this local event befall the device."""
+        self.candidates = {
+            self._having(candidate, Event(machine, event, {}), time): history
+            for candidate, history in self._expanded(time).items()
+        }
+
+    def example(self) -> State:
+        """Give one state that the device may be in."""
+        return next(iter(self.candidates)).state
+
+    def process_area(self, name: str) -> tuple[int, int] | None:
+        """Give start and length of process data that are switched on, as all candidates agree."""
+        areas = {self._process_area(candidate.state, name) for candidate in self.candidates}
+        return areas.pop() if len(areas) == 1 else None
+
+    def words_in(self, image: bytes) -> Iterator[tuple[str, str]]:
+        """Yield the words that inputs hold, by name and in words."""
+        state = self.example()
+        environment = Environment(state.slots, state.known(), {})
+        for mapped in self.model.image.layout(environment, INPUTS) or ():
+            word = None if mapped.key is None else self.model.words.get(mapped.key)
+            raw = bits_of(image, mapped)
+            if word is not None and raw is not None:
+                now = fields_with_before(word.fields, raw, None)
+                shown = {view.name: now[view.name] for view in self.model.views[word.name]}
+                yield word.name, register_words(self.model, word.name, shown)
+
+    def surprises(self) -> tuple[str, ...]:
+        """Give what befell the device by itself, as far as every explanation needs it."""
+        befell = [set(candidate.befell) for candidate in self.candidates]
+        return tuple(sorted(set.intersection(*befell))) if befell else ()
 
     def perhaps_read(self, address: int, length: int) -> None:
         """Take it that the MainDevice may have read here: a reply may be gone."""
@@ -274,7 +345,7 @@ class Oracle:
                 self.written = exchange.time
                 self._write_registers(touched, exchange)
             return None
-        return self._write_mailbox(exchange)
+        return self._write_outputs(exchange) or self._write_mailbox(exchange)
 
     def _write_registers(self, touched: list[Register], exchange: Exchange) -> None:
         inputs = [
@@ -290,33 +361,34 @@ class Oracle:
             for register in touched:
                 slot = self.model.slots[f"register {register.name}"]
                 raw = self._merged(register, state.slots[slot], exchange)
-                if register.name in SYNC_MANAGERS and self._enabled(candidate.state, register.name):
+                if register.name in (*SYNC_MANAGERS, *PROCESS_DATA) and self._enabled(
+                    candidate.state, register.name
+                ):
                     raw = state.slots[slot] or 0
+                parameters |= fields_with_before(register.fields, raw, state.slots[slot])
                 state = state.having(slot, raw)
-                for bits in register.fields:
-                    parameters[bits.name] = (
-                        field_of(self.model.protocol, register.name, bits.name, raw)
-                        if isinstance(raw, int)
-                        else UNKNOWN
-                    )
             changed = replace(candidate, state=state)
             if self._mailboxes_off(state):
                 changed = replace(changed, outbox=(), last=None)
             for machine, source in inputs:
                 event = Event(machine, source.name, parameters)
-                pending = self._pending(changed.state, event, exchange.time)
-                if pending is not None:
-                    changed = replace(changed, inbox=(*changed.inbox, pending))
+                changed = self._having(changed, event, exchange.time)
             after[changed] = history
         self.candidates = after
+
+    def _having(self, candidate: Candidate, event: Event, time: int) -> Candidate:
+        """Give the explanation in which the device has one input more."""
+        pending = self._pending(candidate.state, event, time)
+        return (
+            candidate if pending is None else replace(candidate, inbox=(*candidate.inbox, pending))
+        )
 
     def _pending(self, state: State, event: Event, time: int) -> Pending | None:
         """Give the input with its deadline; None when it changes nothing and has no deadline."""
         steps = self._steps(state, event)
         within = max(taken.within for taken in steps)
-        if not within and all(taken.state == state and not taken.outputs for taken in steps):
-            return None
-        return Pending(event, time + within, within)
+        idle = all(s.state == state and not s.outputs and not s.alarms for s in steps)
+        return None if idle and not within else Pending(event, time + within, within, time)
 
     def _mailboxes_off(self, state: State) -> bool:
         return self._enabled(state, MAIN_IN) is False
@@ -340,6 +412,85 @@ class Oracle:
         for address in covered:
             raw[address - register.address] = exchange.data[address - exchange.address]
         return int.from_bytes(raw, "little")
+
+    def _write_outputs(self, exchange: Exchange) -> Mismatch | None:
+        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        refused: dict[Candidate, tuple[RuleName, ...]] = {}
+        for candidate, history in self._expanded(exchange.time).items():
+            if self._process_area(candidate.state, DATA_OUT) != exchange.span():
+                after[candidate] = history
+            elif exchange.working_counter:
+                self._add(after, self._fed(candidate, exchange), history)
+            else:
+                demanded = self._demanded(candidate, "outputs_demanded")
+                (refused if demanded else after)[candidate] = history
+        if not after:
+            expected = ("the device takes the outputs",)
+            rules = _last(refused, {"process_data", "al"})
+            clauses = self.model.protocol.definitions["outputs_demanded"].clauses
+            observed = "refused: working counter 0"
+            return self._mismatch(exchange, "outputs", expected, observed, rules, clauses)
+        self.candidates = after
+        return None
+
+    def _fed(self, candidate: Candidate, exchange: Exchange) -> Candidate:
+        """Give the explanation in which the device has these outputs; they replace older ones."""
+        for source in self.model.outputs:
+            event = Event(source.machine, source.input, {IMAGE: exchange.data})
+            own = (source.machine, source.input)
+            rest = tuple(p for p in candidate.inbox if p.target() != own)
+            steps = self._steps(candidate.state, event)
+            within = max(taken.within for taken in steps)
+            until = exchange.time + within
+            if all(taken.state == candidate.state for taken in steps):
+                # the same outputs once more: only what they put off has news of them
+                inbox = _with_alarms(rest, steps[0], exchange.time, until)
+            else:
+                # the device looks by then, at these outputs or at those before
+                old = [p.deadline for p in candidate.inbox if p.target() == own]
+                inbox = (*rest, Pending(event, min(old, default=until), within, exchange.time))
+            candidate = replace(candidate, inbox=inbox)
+        return candidate
+
+    @staticmethod
+    def _add(
+        found: dict[Candidate, tuple[RuleName, ...]],
+        candidate: Candidate,
+        history: tuple[RuleName, ...],
+    ) -> None:
+        """Add an explanation; one that differs in times only is widened to hold both."""
+        for other, known in found.items():
+            if len(other.inbox) != len(candidate.inbox) or other.state != candidate.state:
+                continue
+            wide = tuple(
+                replace(a, deadline=max(a.deadline, b.deadline), since=min(a.since, b.since))
+                for a, b in zip(candidate.inbox, other.inbox, strict=True)
+                if a.event == b.event and a.timer == b.timer
+            )
+            both = replace(candidate, inbox=wide)
+            if len(wide) == len(other.inbox) and both == replace(other, inbox=wide):
+                del found[other]
+                found[both] = known
+                return
+        found[candidate] = history
+
+    def _demanded(self, candidate: Candidate, definition: str) -> bool:
+        """Tell whether the texts demand it of a device that has nothing else to do."""
+        if any(not pending.timer for pending in candidate.inbox):
+            return False
+        state = candidate.state
+        environment = Environment(state.slots, state.known(), {})
+        return self.model.definition(definition)(environment) is True
+
+    def _process_area(self, state: State, name: str) -> tuple[int, int] | None:
+        """Give start and length of process data that are switched on."""
+        if not self._enabled(state, name):
+            return None
+        raw = state.slots[self.model.slots[f"register {name}"]]
+        if not isinstance(raw, int):
+            return None
+        start, length = (field_of(self.model.protocol, name, f, raw) for f in ("start", "length"))
+        return (start, length) if length else None
 
     def _write_mailbox(self, exchange: Exchange) -> Mismatch | None:
         after: dict[Candidate, tuple[RuleName, ...]] = {}
@@ -380,6 +531,36 @@ class Oracle:
     # --- reads ------------------------------------------------------------------------------------
 
     def _read(self, exchange: Exchange) -> Mismatch | None:
+        mismatch = self._judge(exchange)
+        kept = self.candidates
+        for _ in range(_SURPRISES if mismatch is not None else 0):
+            self.candidates = self._befallen(exchange.time)
+            if self._judge(exchange) is None:
+                return None
+        self.candidates = kept
+        return mismatch
+
+    def _befallen(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
+        """Give the explanations in which something happened by itself, and those before."""
+        found = dict(self._expanded(time))
+        for candidate, history in list(found.items()):
+            for event in (*self.model.own, *self.model.locals):
+                name = f"{event.machine}.{event.input}"
+                if name in self.raised or self.model.signature(event):
+                    continue
+                befell = replace(candidate, befell=(*candidate.befell, name))
+                if event in self.model.own:
+                    befell = candidate
+                pending = Pending(event, time, since=time)
+                for left, rules in self._served(befell, pending, candidate.inbox, ()):
+                    if rules and left.state != candidate.state:
+                        found.setdefault(left, history + rules)
+        return found
+
+    def _judge(self, exchange: Exchange) -> Mismatch | None:
+        mismatch = self._read_inputs(exchange)
+        if mismatch is not None:
+            return mismatch
         if not exchange.working_counter:
             return self._read_empty(exchange)
         for register in self.model.protocol.registers.values():
@@ -438,13 +619,73 @@ class Oracle:
 
     def _shown(self, register: Register, state: State) -> dict[str, Value]:
         environment = Environment(state.slots, {}, {})
-        return {view.name: view.value(environment) for view in self.model.views[register.name]}
+        return {view.name: view.present(environment) for view in self.model.views[register.name]}
+
+    def _read_inputs(self, exchange: Exchange) -> Mismatch | None:
+        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        wrong: dict[Candidate, tuple[RuleName, ...]] = {}
+        words: dict[str, Word] = {}
+        for candidate, history in self._expanded(exchange.time).items():
+            if self._process_area(candidate.state, DATA_IN) != exchange.span():
+                after[candidate] = history
+            elif exchange.working_counter:
+                odd = self._odd_words(candidate.state, exchange.data)
+                (wrong if odd else after)[candidate] = history
+                words |= odd
+            else:
+                demanded = self._demanded(candidate, "inputs_demanded")
+                (wrong if demanded else after)[candidate] = history
+        if after:
+            self.candidates = after
+            return None
+        if not exchange.working_counter:
+            rules = _last(wrong, {"process_data", "al"})
+            clauses = self.model.protocol.definitions["inputs_demanded"].clauses
+            expected = ("the inputs can be read",)
+            observed = "refused: working counter 0"
+            return self._mismatch(exchange, "inputs", expected, observed, rules, clauses)
+        told = (
+            register_words(self.model, name, self._worded(candidate.state, name))
+            for candidate in wrong
+            for name in words
+        )
+        observed = "; ".join(said for name, said in self.words_in(exchange.data) if name in words)
+        clauses = tuple(clause for word in words.values() for clause in word.clauses)
+        machines = {
+            path.partition(".")[0]
+            for name in words
+            for view in self.model.views[name]
+            for path in self._names(view.expression)
+        }
+        rules = _last(wrong, machines & set(self.model.protocol.machines))
+        return self._mismatch(
+            exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
+        )
+
+    def _odd_words(self, state: State, image: bytes) -> dict[str, Word]:
+        """Give the words in the inputs that are not what the state shows."""
+        environment = Environment(state.slots, state.known(), {})
+        found = {}
+        for mapped in self.model.image.layout(environment, INPUTS) or ():
+            shown = None if mapped.key is None else self.model.dictionary.shown.get(mapped.key)
+            raw = bits_of(image, mapped)
+            if shown is None or mapped.key is None or raw is None:
+                continue
+            word = self.model.words[mapped.key]
+            if not admits(shown(environment), raw.to_bytes(word.size, "little")):
+                found[word.name] = word
+        return found
+
+    def _worded(self, state: State, name: str) -> dict[str, Value]:
+        environment = Environment(state.slots, state.known(), {})
+        shown = {view.name: view.present(environment) for view in self.model.views[name]}
+        return {field: value for field, value in shown.items() if not is_any(value)}
 
     def _seen(self, register: Register, state: State, raw: int) -> list[State]:
         """Give the states after `raw` was read, none where the state does not allow it."""
         environment = Environment(state.slots, {}, {})
         views = self.model.views[register.name]
-        shown = [(view, view.value(environment)) for view in views]
+        shown = [(view, view.present(environment)) for view in views]
         if environment.undecided:
             choice = min(environment.undecided)
             slot = self.model.slots[f"choice {choice}"]
@@ -459,7 +700,7 @@ class Oracle:
                 observed = bool(observed)
             if not admits(value, observed):
                 return []
-            if isinstance(value, Pattern):
+            if isinstance(value, Pattern) and view.condition is None:
                 state = self._narrowed(view, state, observed)
         return [state]
 
@@ -489,7 +730,7 @@ class Oracle:
             and (
                 candidate.loose
                 or not self._alive(candidate)
-                or (full and bool(candidate.outbox or self.model.locals))
+                or (full and bool(candidate.outbox or self.model.own))
                 or (not full and (not candidate.outbox or exchange.time <= candidate.ready))
             )
         }
@@ -571,7 +812,7 @@ class Oracle:
             for taken in matches(self.model, state, outbox[0], message):
                 yield self._left(candidate, taken, outbox[1:], time), taken.rules
         # what happens inside the device shows at any time, before what is due
-        for source in self.model.locals:
+        for source in self.model.own:
             for cause in step(self.model, state, source):
                 for output in cause.outputs[:1]:
                     for taken in matches(self.model, cause.state, output, message):
@@ -583,7 +824,7 @@ class Oracle:
     ) -> Candidate:
         state = step(self.model, taken.state, self.model.fetched)[0].state
         outbox = rest + taken.outputs
-        inbox = candidate.inbox
+        inbox = _with_alarms(candidate.inbox, taken, time, time)
         if outbox:
             ready = time + (outbox[0].within or self.model.parameter("response_timeout"))
         else:
@@ -632,20 +873,22 @@ class Oracle:
             for position, pending in enumerate(candidate.inbox):
                 # a message waits for the answer before it, a register does not
                 lane = pending.event.machine, bool(pending.event.trail)
-                if lane in first:
+                if (not pending.timer and lane in first) or 0 <= time < pending.since:
                     continue
-                first.add(lane)
+                if not pending.timer:
+                    first.add(lane)
                 rest = candidate.inbox[:position] + candidate.inbox[position + 1 :]
-                work += self._served(candidate, pending.event, rest, history)
+                work += self._served(candidate, pending, rest, history)
         return found
 
     def _served(
         self,
         candidate: Candidate,
-        event: Event,
+        pending: Pending,
         rest: tuple[Pending, ...],
         history: tuple[RuleName, ...],
     ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
+        event = pending.event
         was_alive = self._alive(candidate)
         mail = bool(event.trail)
         served = []
@@ -667,7 +910,7 @@ class Oracle:
             after = replace(
                 candidate,
                 state=taken.state,
-                inbox=rest,
+                inbox=_with_alarms(rest, taken, pending.since, pending.deadline),
                 outbox=outbox,
                 loose=max(candidate.loose, Loose.ONE if mail and taken.unspecified else Loose.NONE),
             )
@@ -735,6 +978,16 @@ class Oracle:
             tuple(clauses),
             f"{subject} {' '.join(sorted(clauses))} {observed.partition(':')[0]}",
         )
+
+
+def _with_alarms(
+    inbox: tuple[Pending, ...], taken: Step, since: int, until: int
+) -> tuple[Pending, ...]:
+    """Give the inputs with those that a step makes come by itself; the step was in this time."""
+    for alarm in taken.alarms:
+        late = Pending(alarm.event, until + alarm.within, since=since + alarm.after, timer=True)
+        inbox = (*(p for p in inbox if not p.timer or p.target() != late.target()), late)
+    return inbox
 
 
 def _last(

@@ -81,6 +81,15 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True)
+class Alarm:
+    """An event that comes by itself, from `after` on and by `within`, in microseconds."""
+
+    event: Event
+    after: int
+    within: int
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """One way in which the texts let a device react to one input.
 
@@ -94,3 +103,4 @@ class Step:
     unspecified: bool = False
     resend: RuleName | None = None
     """The rule that puts the message read last back before all that is unread."""
+    alarms: tuple[Alarm, ...] = ()

@@ -12,11 +12,19 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from ecatspec.model.compiled import MAILBOX, Model
 from ecatspec.model.dictionary import encode_value
-from ecatspec.model.esc import SYNC_MANAGERS, Esc, field_of
+from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, Esc
 from ecatspec.model.evaluate import Environment
-from ecatspec.model.interpreter import afterwards, expected_fields, later_fields, step
+from ecatspec.model.interpreter import (
+    afterwards,
+    expected_fields,
+    fields_with_before,
+    later_fields,
+    step,
+)
+from ecatspec.model.process_image import INPUTS, placed
 from ecatspec.model.state import Event, Output, State, Step
 from ecatspec.model.values import Pattern, Value, concrete
+from ecatspec.spec.language.scope import IMAGE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,6 +34,7 @@ if TYPE_CHECKING:
 
 SdoServer: TypeAlias = Callable[[bytes], list[bytes]]
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+_SECOND = 1_000_000
 
 
 class Quirk(StrEnum):
@@ -58,12 +67,16 @@ class VirtualSubDevice:
         self._response_service = codec.fixed("sdo_response")["service"]
         state = self.model.initial
         for entry in protocol.objects:
-            default = 0 if entry.default is None else entry.default
+            default = entry.maps or 0 if entry.default is None else entry.default
             state = state.keeping((entry.index, entry.subindex), encode_value(entry, default))
         self._power_on = state
         # AL Status Code lies above AL Status and is written first
         self._views = sorted(
-            ((name, views) for name, views in self.model.views.items() if views),
+            (
+                item
+                for item in self.model.views.items()
+                if item[1] and item[0] in protocol.registers
+            ),
             key=lambda item: -protocol.registers[item[0]].address,
         )
         self.reset()
@@ -75,6 +88,8 @@ class VirtualSubDevice:
         self._queue: list[bytes] = []
         self._unread: bytes | None = None
         self._last: bytes | None = None
+        self._clock = 0
+        self._alarms: dict[tuple[str, str], tuple[int, Event]] = {}
         self._show()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
@@ -95,9 +110,24 @@ class VirtualSubDevice:
         return counter
 
     def advance(self, seconds: float) -> None:
-        """Let time pass; this device answers at once, so nothing is left to do."""
-        del seconds
+        """Let time pass: what comes by itself comes as early as it may, all else at once."""
+        until = self._clock + round(seconds * _SECOND)
+        while self._alarms:
+            key, (due, event) = min(self._alarms.items(), key=lambda item: item[1][0])
+            if due > until:
+                break
+            del self._alarms[key]
+            self._clock = max(self._clock, due)
+            self._run(event)
+            self.poll()
+        self._clock = until
         self.poll()
+
+    def logical(self, command: str, address: int, data: bytes) -> tuple[int, bytes]:
+        """Answer a logical command (LRD, LWR, LRW) as a MainDevice with FMMUs gives it."""
+        result = self.esc.logical(command, address, data)
+        self.poll()
+        return result
 
     def happen(self, machine: str, event: str, parameters: Mapping[str, Value]) -> None:
         """Let something happen inside the device that a machine has as local input."""
@@ -112,6 +142,8 @@ class VirtualSubDevice:
             self._take_settings()
         if self.esc.al_control_changed:
             self._take_request()
+        if self.esc.outputs_written:
+            self._take_outputs()
         self._serve_mailbox()
         self._show()
 
@@ -122,26 +154,29 @@ class VirtualSubDevice:
                 self.state = self.state.having(slot, self.esc.register(register))
 
     def _take_settings(self) -> None:
-        for name in SYNC_MANAGERS:
+        managers = (*SYNC_MANAGERS, *PROCESS_DATA)
+        for name in managers:
             at = self.model.protocol.registers[f"{name}_activation"]
             self.esc.pdi_read(at.address, at.size)
         self._registers()
         for machine in self.model.protocol.machines.values():
             for source in machine.inputs:
-                if source.kind == "write" and any(
-                    o.startswith(SYNC_MANAGERS) for o in source.origin
-                ):
+                if source.kind == "write" and any(o.startswith(managers) for o in source.origin):
                     self._run(Event(machine.name, source.name, {}))
 
     def _take_request(self) -> None:
         at = self.model.protocol.registers["al_control"]
         raw = int.from_bytes(self.esc.pdi_read(at.address, at.size), "little")
+        past = self.state.slots[self.model.slots[f"register {at.name}"]]
         self._registers()
-        parameters: dict[str, Value] = {
-            field.name: field_of(self.model.protocol, at.name, field.name, raw)
-            for field in at.fields
-        }
-        self._run(Event("al", "request", parameters))
+        self._run(Event("al", "request", fields_with_before(at.fields, raw, past)))
+
+    def _take_outputs(self) -> None:
+        image = self.esc.outputs()
+        if image is not None:
+            self._registers()
+            for source in self.model.outputs:
+                self._run(Event(source.machine, source.input, {IMAGE: image}))
 
     def _serve_mailbox(self) -> None:
         outbox = self.esc.channel(MAIN_IN)
@@ -168,6 +203,9 @@ class VirtualSubDevice:
             return
         was_alive = self._alive()
         self._settle(taken.state)
+        for alarm in taken.alarms:
+            due = self._clock + alarm.after
+            self._alarms[alarm.event.machine, alarm.event.input] = (due, alarm.event)
         if self._alive() != was_alive:
             self._queue, self._unread, self._last = [], None, None
         if taken.resend is not None and self._last is not None:
@@ -237,15 +275,30 @@ class VirtualSubDevice:
         return chosen
 
     def _show(self) -> None:
-        """Write what the registers show, AL Status Code before AL Status."""
-        environment = Environment(self.state.slots, {}, {})
+        """Write the inputs and what the registers show, AL Status Code before AL Status."""
+        environment = Environment(self.state.slots, self.state.known(), {})
+        self._show_inputs(environment)
         for register, views in self._views:
             raw = 0
             for view in views:
-                value = view.value(environment)
+                value = view.present(environment)
                 number = 0 if isinstance(value, Pattern) or not isinstance(value, int) else value
                 raw |= int(number) << view.low
             self.esc.set_register(register, raw)
+
+    def _show_inputs(self, environment: Environment) -> None:
+        layout = self.model.image.layout(environment, INPUTS)
+        if not layout or not self.model.definition("inputs_valid")(environment):
+            return
+        image = 0
+        for mapped in layout:
+            if mapped.key is not None:
+                shown = self.model.dictionary.shown.get(mapped.key)
+                value = shown(environment) if shown else environment.objects.get(mapped.key)
+                if isinstance(value, bytes):
+                    image = placed(image, mapped, int.from_bytes(value, "little"))
+        bits = sum(mapped.bits for mapped in layout)
+        self.esc.set_inputs(image.to_bytes(-(-bits // 8), "little"))
 
 
 def _delivered(taken: Step) -> bool:

@@ -13,7 +13,7 @@ class Pattern:
     """What a value may be: one of `ranges` (None: anything) but not `excluded`.
 
     With `lengths` it is a byte string of so many bytes (least, most) that begins like `content`
-    (None: anything); where `mask` has a zero byte the content is not known. `into` names where the
+    (None: anything); where `mask` has a zero bit the content is not known. `into` names where the
     observed value goes: a slot of the state or an object. `preferred` is what the model takes
     where it has to act itself.
     """
@@ -45,12 +45,14 @@ class Pattern:
             return self.content[: len(value)] == value
         # beyond the content nothing is known
         known = zip(value, self.content, self.mask, strict=False)
-        return all(seen == wanted or not certain for seen, wanted, certain in known)
+        return all(not (seen ^ wanted) & certain for seen, wanted, certain in known)
 
     def first(self, after: int = -1) -> int:
-        """Give the smallest acceptable number above `after`, wrapping to the smallest of all."""
+        """Give the number named first; with `after` the next one above it, or the smallest."""
         if self.ranges is None:
             return 0 if self.preferred is None else self.preferred
+        if after < 0 and self.ranges and self.ranges[0][0] != self.excluded:
+            return self.ranges[0][0]
         wanted = [n for n in (self._from(after + 1), self._from(0)) if n is not None]
         if not wanted:
             raise ValueError(f"no number is acceptable in {self}")

@@ -74,11 +74,12 @@ def value_words(model: Model, frame: str, field: str, value: Value) -> str:
     return str(value)
 
 
-def register_words(model: Model, register: str, fields: Mapping[str, Value]) -> str:
-    """Say what a register holds, field by field."""
-    types = {field.name: field.type for field in model.protocol.registers[register].fields}
+def register_words(model: Model, name: str, fields: Mapping[str, Value]) -> str:
+    """Say what a register or a word holds, field by field."""
+    holder = model.protocol.registers.get(name) or model.protocol.words[name]
+    types = {field.name: field.type for field in holder.fields}
     words = ", ".join(f"{n} {typed_words(model, types[n], v)}" for n, v in fields.items())
-    return f"{register}: {words}"
+    return f"{name}: {words}"
 
 
 def message_words(model: Model, message: Message) -> str:

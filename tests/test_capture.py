@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import dpkt
@@ -20,6 +21,8 @@ from ecatspec.conformance.capture import (
     Transaction,
     WireFormat,
 )
+from ecatspec.model.fmmu import fmmu_registers
+from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,6 +69,7 @@ WIRE: Final = WireFormat(
     commands=NUMBER,
     station_address_register=0x0010,
     station_address_size=2,
+    fmmus=fmmu_registers(load_standard()),
 )
 SENT: Final = bytes.fromhex("ffffffffffff 010101010101")
 BACK: Final = bytes.fromhex("ffffffffffff 030101010101")
@@ -434,3 +438,191 @@ def test_the_akd_capture_holds_its_state_changes(shared: Path) -> None:
     capture = Capture(shared / "captures" / "soem-sdinfo-akd.pcapng", WIRE)
     writes = [t.data for t in capture if t.write and t.device == 0 and t.address == 0x0120]
     assert writes == [b"\x12\x00", b"\x04\x00"]
+
+
+# --- logical datagrams ----------------------------------------------------------------------------
+
+
+def fmmu(logical: int, length: int, physical: int, kind: int, bits: int = 0x0700) -> bytes:
+    """Give the content of an FMMU register; `kind` is 1 for a read, 2 for a write."""
+    return struct.pack("<IHHHBBBxxx", logical, length, bits, physical, 0, kind, 1)
+
+
+def mapped(station: int, number: int, content: bytes) -> list[bytes]:
+    return both("FPWR", station, 0x0600 + 16 * number, content)
+
+
+def logical(
+    name: str, address: int, sent: bytes, back: bytes | None = None, counter: int = 1
+) -> list[bytes]:
+    low, high = address & 0xFFFF, address >> 16
+    returned = sent if back is None else back
+    return [
+        frame(SENT, (name, 9, low, high, sent, 0)),
+        frame(BACK, (name, 9, low, high, returned, counter)),
+    ]
+
+
+OUT_AND_IN: Final = [
+    *mapped(0x1001, 0, fmmu(0x10000, 2, 0x1100, 2)),
+    *mapped(0x1001, 1, fmmu(0x10002, 3, 0x1400, 1)),
+]
+Access = tuple[bool, int, bytes, int, bool, bool]
+"""Write, address, data, working counter, done, confirmed."""
+
+
+def logical_accesses(found: list[Transaction]) -> list[Access]:
+    return [
+        (t.write, t.address, t.data, t.working_counter, t.done, t.confirmed)
+        for t in found
+        if t.command.startswith("L")
+    ]
+
+
+def test_a_logical_datagram_is_an_access_for_each_fmmu(tmp_path: Path) -> None:
+    frames = [*OUT_AND_IN, *logical("LRW", 0x10000, b"ab...", b"ab123", counter=3)]
+    found, _ = read(tmp_path, frames)
+    assert logical_accesses(found) == [
+        (False, 0x1400, b"123", 1, True, True),
+        (True, 0x1100, b"ab", 1, True, True),
+    ]
+    assert [t.device for t in found] == [0x10000] * 4
+    assert (found[-1].frame, found[-1].command) == (6, "LRW")
+    frames = [*OUT_AND_IN, *logical("LRD", 0x10003, bytes(9), b"23" + bytes(7))]
+    assert logical_accesses(read(tmp_path, frames)[0]) == [(False, 0x1401, b"23", 1, True, True)]
+    frames = [*OUT_AND_IN, *logical("LWR", 0xFFFF, b".ab..")]
+    assert logical_accesses(read(tmp_path, frames)[0]) == [(True, 0x1100, b"ab", 1, True, True)]
+
+
+@pytest.mark.parametrize(
+    ("counter", "was_read", "was_written"), [(0, False, False), (1, True, False), (2, False, True)]
+)
+def test_the_counter_of_one_device_tells_its_halves(
+    tmp_path: Path, counter: int, *, was_read: bool, was_written: bool
+) -> None:
+    found, _ = read(tmp_path, [*OUT_AND_IN, *logical("LRW", 0x10000, bytes(5), None, counter)])
+    assert [(t.write, t.working_counter, t.done, t.confirmed) for t in found[2:]] == [
+        (False, int(was_read), was_read, True),
+        (True, int(was_written), was_written, True),
+    ]
+
+
+def test_a_counter_of_several_devices_is_shared(tmp_path: Path) -> None:
+    set_up = [*OUT_AND_IN, *mapped(0x1002, 0, fmmu(0x10005, 1, 0x1400, 1))]
+
+    def outcome(counter: int) -> list[tuple[int | None, bool, bool, bool]]:
+        frames = [*set_up, *logical("LRW", 0x10000, bytes(6), None, counter)]
+        found, _ = read(tmp_path, frames)
+        return [(t.device, t.write, t.done, t.confirmed) for t in found[3:]]
+
+    one, two = 0x10000, 0x10001
+    assert outcome(4) == [
+        (one, False, True, True),
+        (two, False, True, True),
+        (one, True, True, True),
+    ]
+    assert outcome(0) == [
+        (one, False, False, True),
+        (two, False, False, True),
+        (one, True, False, True),
+    ]
+    for counter in (1, 2, 3, 5):
+        assert outcome(counter) == [
+            (one, False, False, False),
+            (two, False, False, False),
+            (one, True, False, False),
+        ]
+
+
+def test_a_counter_beyond_what_is_known_tells_nothing(tmp_path: Path) -> None:
+    found, _ = read(tmp_path, [*OUT_AND_IN, *logical("LRW", 0x10000, bytes(5), None, 5)])
+    assert [t.confirmed for t in found[2:]] == [False, False]
+
+
+@pytest.mark.parametrize(
+    "set_up",
+    [
+        [],
+        both("FPWR", 0x1001, 0x0600, fmmu(0x10000, 5, 0x1100, 3)[:8]),
+        both("FPWR", 0x1001, 0x0600, fmmu(0x10000, 5, 0x1100, 3), counter=0),
+        mapped(0x1001, 0, fmmu(0x10000, 5, 0x1100, 3))[:1],
+        [*OUT_AND_IN, *both("BWR", 0, 0x0600, bytes(48))],
+        mapped(0x1001, 0, fmmu(0x10000, 1, 0x080D, 1, bits=0x0303)),
+        [*OUT_AND_IN, *mapped(0x1001, 0, bytes(16)), *mapped(0x1001, 1, bytes(16))],
+    ],
+    ids=["not seen", "in part", "refused", "not returned", "all cleared", "one bit", "cleared"],
+)
+def test_without_settings_a_logical_datagram_says_nothing(
+    tmp_path: Path, set_up: list[bytes]
+) -> None:
+    found, _ = read(tmp_path, [*set_up, *logical("LRW", 0x10000, bytes(5), None, 3)])
+    assert logical_accesses(found) == []
+
+
+def test_the_state_of_a_mailbox_counts_but_is_no_access(tmp_path: Path) -> None:
+    frames = [
+        *mapped(0x1001, 0, fmmu(0x10000, 2, 0x1100, 2)),
+        *mapped(0x1001, 2, fmmu(0x10002, 1, 0x080D, 1, bits=0x0303)),
+        *logical("LRW", 0x10000, b"ab.", b"ab\x08", counter=3),
+    ]
+    assert logical_accesses(read(tmp_path, frames)[0]) == [(True, 0x1100, b"ab", 1, True, True)]
+
+
+def test_settings_in_pieces_by_position_or_read_back_are_followed(tmp_path: Path) -> None:
+    content = fmmu(0, 2, 0x1100, 2)
+    data = logical("LWR", 0, b"ab")
+    for set_up in (
+        [*both("BWR", 0, 0x0600, bytes(48)), *both("FPWR", 0x1001, 0x0600, content[:13])],
+        [
+            *both("FPWR", 0x1001, 0x0600, content[:8]),
+            *both("FPWR", 0x1001, 0x0608, content[8:]),
+        ],
+        [*both("BWR", 0, 0x0600, content), *both("FPRD", 0x1001, 0x0600, bytes(1), b"\0")],
+        both("APWR", 0, 0x0600, content),
+        both("FPRD", 0x1001, 0x0600, bytes(13), content[:13]),
+    ):
+        found, _ = read(tmp_path, [*set_up, *data])
+        assert logical_accesses(found) == [(True, 0x1100, b"ab", 1, True, True)]
+
+
+def test_mappings_follow_a_device_that_was_taken_for_two(tmp_path: Path) -> None:
+    frames = [
+        *OUT_AND_IN,
+        *both("APRD", 0, 0x0010, bytes(2), b"\x01\x10"),
+        *logical("LWR", 0x10000, b"ab"),
+    ]
+    found, _ = read(tmp_path, frames)
+    assert (found[-1].device, found[-1].address) == (0, 0x1100)
+
+
+def test_a_logical_request_that_got_lost_is_unconfirmed(tmp_path: Path) -> None:
+    lost = logical("LRW", 0x10000, b"ab...")[0]
+    found, _ = read(tmp_path, [*OUT_AND_IN, lost, *both("FPRD", 0x1001, 0x0130, bytes(2))])
+    assert logical_accesses(found) == [
+        (False, 0x1400, b"...", 0, False, False),
+        (True, 0x1100, b"ab", 0, False, False),
+    ]
+
+
+def test_of_a_logical_return_alone_the_data_written_is_unknown(tmp_path: Path) -> None:
+    frames = [*OUT_AND_IN, logical("LRW", 0x10000, b"ab...", b"ab123", counter=3)[1]]
+    found, _ = read(tmp_path, frames)
+    assert logical_accesses(found) == [(False, 0x1400, b"123", 1, True, True)]
+
+
+def test_without_registers_logical_datagrams_are_left_out(tmp_path: Path) -> None:
+    path = write_capture(tmp_path / "made", [*OUT_AND_IN, *logical("LRW", 0x10000, bytes(5))])
+    found = list(Capture(path, replace(WIRE, fmmus=())))
+    assert [t.command for t in found] == ["FPWR", "FPWR"]
+
+
+def test_a_real_capture_shows_where_process_data_lie(shared: Path, tmp_path: Path) -> None:
+    """It ends in SAFEOP before the first process data, so one exchange is put behind it."""
+    with (shared / "captures" / "soem-single-lan9252.pcapng").open("rb") as file:
+        frames = [data for _, data in dpkt.pcapng.Reader(file)]
+    found, _ = read(tmp_path, [*frames, *logical("LRW", 0, b"ab......", b"ab123456", counter=3)])
+    assert logical_accesses(found) == [
+        (False, 0x1400, b"123456", 1, True, True),
+        (True, 0x1100, b"ab", 1, True, True),
+    ]
+    assert {t.device for t in found[-2:]} == {0}

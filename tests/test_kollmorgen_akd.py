@@ -11,7 +11,7 @@ from ecatspec.spec.language.ir import Access, Literal, Name, OneOf, Protocol, UI
 from ecatspec.spec.language.load import load_device
 
 TEXT = Path(__file__).resolve().parent.parent / "spec" / "devices" / "kollmorgen-akd.ecs"
-CLAUSES, OBJECTS, ANOMALIES = 102, 143, 45
+CLAUSES, OBJECTS, ANOMALIES = 146, 143, 58
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,12 @@ def test_mailbox_areas(akd: Protocol) -> None:
 def test_pins(akd: Protocol) -> None:
     assert {name: pin.alternative for name, pin in akd.pins.items()} == {
         "emulation": "none",
+        "enabled_in_one": "goes_on",
         "identification_support": "unanswered",
         "mailbox_support": "present",
+        "process_data_address": "refuse",
         "refused_in_op": "stay",
+        "return_from_quick_stop": "served",
         "upload_form": "expedited",
     }
 
@@ -140,3 +143,67 @@ def test_the_example_is_the_normative_reading(akd: Protocol) -> None:
     assert (request[7], response[7]) == (0x20, 0x30)
     assert request[9:12] == response[9:12]
     assert response[12:] == bytes(4)
+
+
+def test_all_claims_on_the_drive_are_carried(akd: Protocol) -> None:
+    cited = {claim for clause in akd.clauses.values() for claim in clause.claims}
+    assert {f"AKD-{number:03}" for number in range(27, 470)} <= cited
+
+
+# bytes of each fixed PDO as sections 4.5 and 4.6 have them, or their entries added
+FIXED = {
+    0x1701: 6,
+    0x1702: 6,
+    0x1703: 4,
+    0x1720: 12,
+    0x1721: 8,
+    0x1722: 14,
+    0x1723: 14,
+    0x1724: 8,
+    0x1B01: 6,
+    0x1B20: 32,
+    0x1B21: 6,
+    0x1B22: 32,
+    0x1B23: 32,
+    0x1B24: 6,
+}
+
+
+@pytest.mark.parametrize(("pdo", "size"), FIXED.items(), ids=map(hex, FIXED))
+def test_fixed_mappings_have_the_size_of_the_manual(akd: Protocol, pdo: int, size: int) -> None:
+    bits = 0
+    for entry in akd.objects:
+        if entry.index == pdo and entry.subindex:
+            assert (entry.maps is None) == isinstance(entry.default, int)
+            bits += entry.default & 0xFF if isinstance(entry.default, int) else entry.maps or 0
+    assert bits == size * 8
+
+
+def test_process_data_objects_change_in_preop_only(akd: Protocol) -> None:
+    for entry in akd.objects:
+        writable = entry.access is Access.READ_WRITE
+        if writable and 0x1600 <= entry.index <= 0x1C13:
+            assert entry.states == ("PREOP",), hex(entry.index)
+
+
+def test_what_is_mapped_can_be_mapped(akd: Protocol) -> None:
+    mappable = {(e.index, e.subindex) for e in akd.objects if e.mappable}
+    for entry in akd.objects:
+        if entry.type == UInt(32) and isinstance(entry.default, int) and entry.subindex:
+            assert (entry.default >> 16, entry.default >> 8 & 0xFF) in mappable
+    assert len(mappable) == 6 + 10  # section 4.7
+
+
+def test_a_lost_synchronisation_leaves_the_al_state(akd: Protocol) -> None:
+    (rule,) = (r for r in akd.machines["al"].rules if r.input == "sync_lost" and "OP" in r.sources)
+    assert (rule.target, rule.updates) == (None, ())
+    faults = {r.target for r in akd.machines["ds402"].rules if r.name == "fault_125"}
+    assert faults == {"FAULT_REACTION_ACTIVE"}
+
+
+def test_remote_is_always_set(akd: Protocol) -> None:
+    (remote,) = (field for field in akd.words["status_word"].fields if field.name == "remote")
+    assert remote.low == remote.high == 9
+    assert remote.shows is not None
+    assert remote.shows.value == Literal(True)  # noqa: FBT003
+    assert remote.shows.condition is None

@@ -43,6 +43,7 @@ from ecatspec.spec.language.ir import (
     Give,
     In,
     Input,
+    Later,
     Level,
     Literal,
     Machine,
@@ -53,7 +54,9 @@ from ecatspec.spec.language.ir import (
     OneOf,
     Parameter,
     Pin,
+    Protocol,
     Range,
+    Reason,
     Register,
     RegisterField,
     Remove,
@@ -73,6 +76,7 @@ from ecatspec.spec.language.ir import (
     Unary,
     Update,
     Variable,
+    Word,
 )
 from ecatspec.spec.language.load import (
     UnknownDevice,
@@ -97,6 +101,7 @@ from ecatspec.spec.language.scope import (
     StateRef,
     UnresolvedName,
     VariableRef,
+    WordFieldRef,
     resolve,
 )
 
@@ -500,7 +505,6 @@ def test_newer_paragraph_is_refused(body: str, source: str, code: str) -> None:
         ("objects 0x2000 : 0 a bytes(preop_timeout) rw", "ECS405"),
         ("objects 0x2000 : 0 a bytes(true) rw", "ECS405"),
         # what changes the standard has no effect in a text of the standard
-        ("extend al variable more : u8 = 0", "ECS402"),
         ("pin refused_in_op = stay [X-01]", "ECS402"),
         ("replace field mailbox.length [X-01] reply 7", "ECS402"),
         ('fault wrong "x" [X-01] remove rule al.to_init [X-01]', "ECS402"),
@@ -572,6 +576,329 @@ def test_a_device_text_extends_a_machine_and_replaces_a_field() -> None:
     assert (field.reply, field.into) == (AnyValue(Literal(7)), "al.more")
     assert protocol.frames["mailbox"].clauses == ("M-01", "BASE-01")
     assert [type(change) for change in protocol.replaced] == [Extend, ReplaceField]
+
+
+# --- words, edges, what comes later, reasons, times -----------------------------------------------
+
+DRIVE = """
+word control in 0x2040 : 0 size 2 [X-01]
+  bits 0     enable : bool
+  bits 4..7  mode   : u4
+  bits 8..11 wanted : al_state
+word status in 0x2041 : 0 size 2
+  bits 0    on      : bool shows drive.count > 0 [X-01]
+  bits 1..4 state   : u4   shows any when control.enable
+word layout size 1
+  bits 0..7 all : u8
+parameter shortest : time = 1 ms [X-01]
+machine drive "a machine"
+  states   al_state { INIT } initial INIT
+  variable count : u8 = 0
+  variable held  : bytes = zeros(0)
+  input    set_control from word control
+  input    image_came  from outputs
+  input    event(number: u8)
+  input    written     from write al_control
+  input    happens local (number: u8)
+  input    acts    own (truth: bool)
+"""
+
+
+def drive(body: str, source: str = "set_control", more: str = "") -> str:
+    return f"{HEAD}{DRIVE}\n  rule only [X-01]\n    from INIT on {source}\n    {body}\n{more}"
+
+
+@pytest.mark.parametrize(
+    ("body", "source"),
+    [
+        ("when rises(enable) and mode == 3 set count = mode", "set_control"),
+        ("when falls(enable) and not cyclic and wanted == PREOP", "set_control"),
+        ("when rises(acknowledge) or falls(identification)", "written"),
+        ("when control.enable and control.wanted != INIT set count = control.mode", "event"),
+        ("when layout.all == 3 and status.on", "event"),
+        ("take image", "image_came"),
+        ("store 1 : 2 = image take cut(image, 2) give drive.event(number = 1)", "image_came"),
+        ("later drive.event(number = 1) within preop_timeout", "set_control"),
+        ("later drive.happens(number = mode) after shortest within preop_timeout", "set_control"),
+        (
+            """take held give drive.event(number = 1)
+            later drive.acts(truth = enable) within shortest
+            later drive.event(number = 1) after shortest within preop_timeout within shortest""",
+            "set_control",
+        ),
+        ("set count = 1", "acts"),
+        ("within preop_timeout + microseconds(number * 1000) + shortest", "event"),
+        ("when preop_timeout + shortest < microseconds(number)", "event"),
+        ("when number_of(1, 2) == INIT or number_of(1, 2) > -5", "event"),
+        ("when number_of(1, 2) == number or number < number_of(number, 0)", "event"),
+        ("when number(held) in { 1, 3..5 } and mapped(1, 2, number) and is_mapping(1)", "event"),
+        ("when can_hold(1, 2, held) and image_size(1) == pdo_bits(1, 2)", "event"),
+        ("set held = assigned_pdos(1)", "event"),
+    ],
+)
+def test_paragraph_of_process_data_is_taken_and_printed(body: str, source: str) -> None:
+    text = parse_text(drive(body, source), "text")
+    assert parse_text(pretty(text), "text") == text
+    assert len(compile_texts([BASE, text]).machines["drive"].rules) == 1
+
+
+@pytest.mark.parametrize(
+    ("body", "source", "code"),
+    [
+        ("when rises(number)", "event", "ECS203"),
+        ("when rises(mode)", "set_control", "ECS203"),
+        ("when rises()", "set_control", "ECS203"),
+        ("when rises(nothing)", "set_control", "ECS101"),
+        ("when rises(truth)", "acts", "ECS205"),
+        ("when falls(cyclic)", "set_control", "ECS205"),
+        ("when falls(control.enable)", "set_control", "ECS205"),
+        ("when falls(set_control.enable)", "set_control", "ECS205"),
+        ("when falls(not enable)", "set_control", "ECS205"),
+        ("when rises(acknowledge and identification)", "written", "ECS205"),
+        ("when edge", "event", "ECS101"),
+        ("when control.nothing", "event", "ECS101"),
+        ("when cyclic", "event", "ECS101"),
+        ("when control.enable == 1", "event", "ECS202"),
+        ("when control.mode == 16", "event", "ECS201"),
+        ("take 7", "image_came", "ECS202"),
+        ("take image", "event", "ECS101"),
+        ("deliver", "image_came", "ECS202"),
+        ("deliver", "set_control", "ECS202"),
+        ("give drive.acts(truth = true)", "event", "ECS106"),
+        ("later drive.nothing within shortest", "event", "ECS106"),
+        ("later drive.set_control within shortest", "event", "ECS106"),
+        ("later nothing within shortest", "event", "ECS106"),
+        ("later drive.event within shortest", "event", "ECS203"),
+        ("later drive.event(nothing = 1, number = 1) within shortest", "event", "ECS101"),
+        ("later drive.event(number = 256) within shortest", "event", "ECS201"),
+        ("later drive.event(number = 1) within 5", "event", "ECS202"),
+        ("later drive.event(number = 1) after true within shortest", "event", "ECS202"),
+        ("later drive.event(number = 1)", "event", "ECS002"),
+        ("within shortest + 1", "event", "ECS202"),
+        ("within 1 + shortest", "event", "ECS202"),
+        ("within shortest - shortest", "event", "ECS202"),
+        ("within number", "event", "ECS202"),
+        ("when shortest == 1", "event", "ECS202"),
+        ("set count = shortest + shortest", "event", "ECS202"),
+        # what an edge leads to
+        ("when rises(enable) and not enable", "set_control", "ECS302"),
+        ("when falls(enable) and enable", "set_control", "ECS302"),
+        ("when rises(enable) and falls(enable)", "set_control", "ECS302"),
+    ],
+)
+def test_paragraph_of_process_data_is_refused(body: str, source: str, code: str) -> None:
+    more = "" if code == "ECS002" else 'define edge "a definition" = rises(enable) [X-01]'
+    assert set(codes(compiled(drive(body, source, more)))) == {code}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "overlap"),
+    [
+        ("rises(enable)", "falls(enable)", False),
+        ("rises(enable)", "not enable", False),
+        ("falls(enable)", "enable", False),
+        ("rises(enable)", "enable and not rises(enable)", False),
+        ("rises(enable)", "enable", True),
+        ("not rises(enable)", "not falls(enable)", True),
+        ("control.enable", "not control.enable", False),
+        ("control.mode < 3", "control.mode >= 2", True),
+        ("preop_timeout + shortest < shortest", "not (preop_timeout + shortest < shortest)", False),
+        ("shortest < preop_timeout", "mode == 3", True),
+    ],
+)
+def test_edges_exclude_each_other(first: str, second: str, overlap: bool) -> None:  # noqa: FBT001
+    other = f"rule other [X-01] from INIT on set_control when {second}"
+    text = parse_text(drive(f"when {first}", more=other), "text")
+    if overlap:
+        with pytest.raises(SpecError, match="ECS301"):
+            compile_texts([BASE, text])
+    else:
+        compile_texts([BASE, text])
+
+
+@pytest.mark.parametrize(
+    ("declaration", "code"),
+    [
+        ("word control size 1", "ECS102"),
+        ("word other in 0x2040 : 0 size 2", "ECS102"),
+        ("word other size 1 bits 0 a : bool bits 1 a : bool", "ECS102"),
+        ("word other size 1 bits 0 cyclic : bool", "ECS102"),
+        ("word other size 1 [NO-01]", "ECS104"),
+        ("word other size 1 bits 0 a : bool [NO-01]", "ECS104"),
+        ("word other size 1 bits 0..2 a : nothing", "ECS106"),
+        ("word other size 1 bits 0..8 a : u9", "ECS201"),
+        ("word other size 1 bits 0..1 a : u3", "ECS201"),
+        ("word other size 1 bits 0..1 a : u2 bits 1 b : bool", "ECS201"),
+        ("word other in 0x10000 : 0 size 1", "ECS201"),
+        ("word other in 1 : 256 size 1", "ECS201"),
+        ("word other size 1 bits 0 a : bool shows nothing", "ECS101"),
+        ("word other size 1 bits 0 a : bool shows 1", "ECS202"),
+        ("word other size 1 bits 0 a : bool shows true when 1", "ECS202"),
+        ("extend drive input more from word layout", "ECS106"),
+        ("extend drive input more from word nothing", "ECS106"),
+        ('reason a of drive.only "x" when true [NO-01]', "ECS104"),
+        ('reason a of nothing.only "x" when true [X-01]', "ECS106"),
+        ('reason a of drive.nothing "x" when true [X-01]', "ECS106"),
+        ('reason a of drive.only "x" when true [X-01] ' * 2, "ECS102"),
+        ('reason a of drive.only "x" when 1 [X-01]', "ECS202"),
+        ('reason a of drive.only "x" when enable [X-01]', "ECS101"),
+        ('reason a of drive.only "{}" (mode) when true [X-01]', "ECS101"),
+        ('reason a of drive.only "x" when rises(enable) [X-01]', "ECS101"),
+        ('reason a of drive.only "{}" when true [X-01]', "ECS206"),
+        ('reason a of drive.only "x" (1) when true [X-01]', "ECS206"),
+        ('reason a of drive.only "{} {hex}" (1) when true [X-01]', "ECS206"),
+        ('reason a of drive.only "{octal}" (1) when true [X-01]', "ECS206"),
+        ('reason a of drive.only "{words}" (1) when true [X-01]', "ECS206"),
+        ('reason a of drive.only "{}" (held) when true [X-01]', "ECS206"),
+        ('reason a of drive.only "{}" (shortest) when true [X-01]', "ECS206"),
+        ("extend nothing variable more : u8 = 0", "ECS401"),
+        ("extend drive variable count : u8 = 0", "ECS102"),
+        ("extend drive rule only [X-01] from INIT on event", "ECS103"),
+    ],
+)
+def test_word_or_reason_is_refused(declaration: str, code: str) -> None:
+    assert set(codes(compiled(drive("when enable", more=declaration)))) == {code}
+
+
+REASONS = (
+    'reason low of drive.only "{} is below {hex}" (count, 0x10 + control.mode) '
+    "when count < 3 and al.state == PREOP [X-01]\n"
+    'reason odd of drive.only "{} {} {} {words}" (control.enable, state, refused_in_op, held) '
+    "when refused_in_op == stay [X-01]\n"
+)
+
+
+def test_what_words_and_reasons_say() -> None:
+    text = parse_text(drive("when rises(enable)", more=REASONS), "text")
+    assert parse_text(pretty(text), "text") == text
+    protocol = compile_texts([BASE, text])
+    assert [word.key for word in protocol.words.values()] == [(0x2040, 0), (0x2041, 0), None]
+    assert resolve(protocol, "control.enable", Scope()) == WordFieldRef("control", "enable")
+    scope = Scope("drive", "set_control")
+    assert resolve(protocol, "cyclic", scope) == ParameterOfInput("cyclic")
+    assert resolve(protocol, "set_control.mode", scope) == ParameterOfInput("mode")
+    assert resolve(protocol, "image", Scope("drive", "image_came")) == ParameterOfInput("image")
+    kinds = {item.name: (item.kind, item.origin) for item in protocol.machines["drive"].inputs}
+    assert kinds["set_control"] == ("word", ("control",))
+    assert kinds["image_came"] == ("outputs", ())
+    assert kinds["acts"] == ("own", ())
+    low, odd = protocol.reasons.values()
+    assert (low.machine, low.rule, len(low.values)) == ("drive", "only", 2)
+    assert odd.values[-1] == Name("held")
+
+
+def test_what_words_laters_and_reasons_name_is_used() -> None:
+    head = 'standard extra "x" ' + "".join(
+        f'clause X-0{n} must "x" source "x" define used_{n} "x" = {value} [X-01] '
+        for n, value in enumerate(["true", "zeros(1)", "1", "shortest", "true", "2"], 1)
+    )
+    body = (
+        "when used_1 take used_2 later drive.event(number = used_3) within used_4 "
+        'reason a of drive.only "{}" (used_6) when used_5 [X-02] '
+        "word other size 1 [X-03] bits 0 a : bool [X-04]"
+    )
+    source = drive(body).replace(HEAD, head)
+    assert [found.message for found in unused([BASE, parse_text(source, "text")])] == [
+        "nothing uses clause X-05",
+        "nothing uses clause X-06",
+    ]
+
+
+def test_a_text_of_the_standard_extends_a_machine_of_another() -> None:
+    one = parse_text(
+        HEAD + "extend al variable more : u8 = 0 input happens local () "
+        "rule more [X-01] from INIT on happens set more = 1",
+        "one",
+    )
+    two = parse_text('standard two "x" extend al variable most : u8 = 0', "two")
+    protocol = compile_texts([one, two, BASE])
+    machine = protocol.machines["al"]
+    assert [variable.name for variable in machine.variables] == ["error", "code", "more", "most"]
+    assert machine.rules[-1].name == "more"
+    assert protocol.replaced == ()
+    again = parse_text('standard two "x" extend al extend al', "two")
+    for texts, code in (([BASE, again], "ECS102"), ([BASE, faults("extend al")], "ECS402")):
+        with pytest.raises(SpecError, match=code):
+            compile_texts(texts)
+
+
+def of_device(statements: str) -> Protocol:
+    text = parse_text(drive("when rises(enable)", more=REASONS), "text")
+    return compile_texts([BASE, text, device(statements)])
+
+
+def test_a_device_text_declares_words_and_reasons() -> None:
+    protocol = of_device(
+        "word control in 0x2040 : 0 size 4 bits 0 enable : bool bits 4..7 mode : u4"
+        " bits 8..11 wanted : al_state bits 31 own : bool "
+        "word latch in 0x2050 : 1 size 2 bits 0 first : bool [M-01] "
+        'reason mine of drive.only "{}" (latch.first) when control.own [M-01]'
+    )
+    assert protocol.words["control"].size == 4
+    assert list(protocol.words) == ["control", "status", "layout", "latch"]
+    assert list(protocol.reasons) == ["low", "odd", "mine"]
+
+
+@pytest.mark.parametrize(
+    ("statement", "code"),
+    [
+        (DRIVE.split("word status", maxsplit=1)[0].replace("X-01", "M-01"), "ECS402"),
+        ("word other in 0x2041 : 0 size 2", "ECS102"),
+        ("word control in 0x2040 : 0 size 2", "ECS101"),
+        ('reason low of drive.only "x" when true [M-01]', "ECS102"),
+        ('remove rule drive.only [M-01] reason a of drive.only "x" when true [M-01]', "ECS106"),
+    ],
+)
+def test_word_or_reason_of_a_device_is_refused(statement: str, code: str) -> None:
+    with pytest.raises(SpecError) as caught:
+        of_device(statement)
+    assert set(codes(caught.value)) == {code}
+
+
+def test_a_reason_goes_with_its_rule() -> None:
+    assert of_device("remove rule drive.only [M-01]").reasons == {}
+    text = parse_text(drive("when rises(enable)", more=REASONS), "text")
+    wrong = faults('fault one "x" [BASE-01] remove rule drive.only [BASE-01]')
+    protocol = compile_texts([BASE, text, wrong])
+    (fault,) = wrong.declarations
+    assert isinstance(fault, Fault)
+    assert list(protocol.reasons) == ["low", "odd"]
+    assert plant(protocol, fault).reasons == {}
+
+
+def test_given_paragraphs_replace_what_a_rule_gives() -> None:
+    body = "give drive.event(number = 1) later drive.event(number = 2) within shortest"
+    given = "give drive.event(number = 3) give drive.event(number = 4)"
+    later = "later drive.acts(truth = true) after shortest within preop_timeout"
+    standard = parse_text(drive(body), "text")
+    for statement, gives, laters in ((given, [3, 4], [2]), (later, [1], [True])):
+        change = device(f"replace rule drive.only [M-01] {statement}")
+        assert parse_text(pretty(change), "text") == change
+        (rule,) = compile_texts([BASE, standard, change]).machines["drive"].rules
+        arguments = [dict(give.arguments)["number"] for give in rule.gives]
+        assert arguments == [Literal(number) for number in gives]
+        assert [later.arguments[0][1] for later in rule.laters] == [Literal(v) for v in laters]
+    same = device(f"replace rule drive.only [M-01] {body}")
+    with pytest.raises(SpecError, match="ECS402"):
+        compile_texts([BASE, standard, same])
+
+
+def test_a_closed_table_narrows_what_comes_later() -> None:
+    extra = HEAD + (
+        "extend al input tell(code: al_status_code) "
+        "rule told [X-01] from INIT on tell set error = true "
+        "later al.tell(code = one of { 0x0011, 0x0012 }) within preop_timeout"
+    )
+    closed = device("closed al_status_code { 0x0000, 0x0012 } [M-01]")
+    protocol = compile_texts([BASE, parse_text(extra, "text"), closed])
+    (later,) = protocol.machines["al"].rules[-1].laters
+    assert later.arguments == (("code", OneOf((Literal(0x0012),))),)
+
+
+def test_an_object_can_be_mappable() -> None:
+    source = HEAD + "objects 0x2000 : 0 a u8 rw volatile mappable 0x2001 : 0 b u8 rw"
+    first, second = compile_texts([BASE, parse_text(source, "text")]).objects
+    assert (first.mappable, first.volatile, second.mappable) == (True, True, False)
 
 
 # --- planted faults -------------------------------------------------------------------------------
@@ -731,6 +1058,7 @@ values = many(short, 1).map(lambda parts: parts[:2])
 gives = many(
     st.builds(Give, paths, many(bindings)) | st.sampled_from([Give("deliver"), Give("resend")])
 )
+laters = many(st.builds(Later, paths, many(bindings), optional, short))
 rule = st.builds(
     Rule,
     names,
@@ -745,6 +1073,8 @@ rule = st.builds(
     gives,
     optional,
     st.none() | st.builds(After, updates, gives),
+    optional,
+    laters,
 )
 gap = st.builds(Gap, names, some_ids, many(names, 1), names, optional)
 inputs = st.builds(
@@ -752,13 +1082,27 @@ inputs = st.builds(
 ) | st.builds(
     Input,
     names,
-    st.sampled_from(["event", "local"]),
+    st.sampled_from(["event", "local", "own"]),
     st.just(()),
     many(st.tuples(names, types)),
 )
+inputs |= st.builds(Input, names, st.just("word"), st.tuples(names))
+inputs |= st.builds(Input, names, st.just("outputs"), st.just(()))
 variables = many(st.builds(Variable, names, types, short))
 changes = (
-    st.builds(Replace, names, names, one_id, optional, st.none() | names, updates, sends, optional)
+    st.builds(
+        Replace,
+        names,
+        names,
+        one_id,
+        optional,
+        st.none() | names,
+        updates,
+        sends,
+        optional,
+        gives,
+        laters,
+    )
     | st.builds(Remove, names, names, one_id)
     | st.builds(Extend, names, variables, many(inputs), many(rule), many(gap))
     | st.builds(ReplaceField, names, names, one_id, short, st.none() | paths)
@@ -777,6 +1121,8 @@ def entries(draw: st.DrawFn) -> ObjectEntry:
         draw(st.sampled_from(Access)),
         constant=draw(st.booleans()),
         volatile=draw(st.booleans()),
+        mappable=draw(st.booleans()),
+        maps=draw(st.none() | numbers),
         states=draw(many(names)),
         low=None if limits is None else limits[0],
         high=None if limits is None else limits[1],
@@ -819,6 +1165,8 @@ declarations = st.one_of(
         many(fields),
         some_ids,
     ),
+    st.builds(Word, names, st.none() | st.tuples(numbers, numbers), small, many(fields), some_ids),
+    st.builds(Reason, names, names, names, words, many(short), short, one_id),
     st.builds(
         Frame,
         names,

@@ -40,6 +40,12 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
         protocols=frozenset(protocol.machines),
         virtual_time=True,
         closed_dictionary=True,
+        locals=frozenset(
+            f"{machine.name}.{source.name}"
+            for machine in protocol.machines.values()
+            for source in machine.inputs
+            if source.kind == "local"
+        ),
     )
     return VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), description)
 
@@ -77,6 +83,11 @@ class VirtualAdapter:
         """Let virtual time pass."""
         check_duration(seconds)
         self._device.advance(seconds)
+
+    def local(self, event: str) -> None:
+        """Make a local event befall the device."""
+        machine, _, name = event.partition(".")
+        self._device.happen(machine, name, {})
 
     def close(self) -> None:
         """Nothing to release."""

@@ -374,13 +374,10 @@ class _Checker:
                 continue
             for value in parameter.value:
                 self._demand(value, nowhere, UInt(16) if area else parameter.type)
-        layouts = (*self._protocol.registers.values(), *self._protocol.words.values())
-        for layout in layouts:
-            for field in layout.fields:
-                if field.shows is not None:
-                    self._demand(field.shows.value, nowhere, field.type)
-                    if field.shows.condition is not None:
-                        self._demand(field.shows.condition, nowhere, Bool())
+        for register in self._protocol.registers.values():
+            self._shows(register.fields)
+        for word in self._protocol.words.values():
+            self._shows(word.fields)
         for law in self._protocol.properties.values():
             self._demand(law.value, nowhere, Bool())
         for frame in self._protocol.frames.values():
@@ -394,6 +391,13 @@ class _Checker:
                 self._guard(machine, gap)
         for reason in self._protocol.reasons.values():
             self._reason(reason)
+
+    def _shows(self, fields: Iterable[RegisterField]) -> None:
+        for field in fields:
+            if field.shows is not None:
+                self._demand(field.shows.value, Scope(), field.type)
+                if field.shows.condition is not None:
+                    self._demand(field.shows.condition, Scope(), Bool())
 
     def _frame_expressions(self, frame: Frame) -> None:
         inside = Scope(frame=frame.name)
@@ -762,12 +766,14 @@ class _Checker:
         if len(call.arguments) != len(signature.arguments):
             what = f"`{call.function}` gets {len(call.arguments)} arguments"
             self._note(Code.ECS203, call.at, what, remedy)
+        fits = len(call.arguments) == len(signature.arguments)
         for argument, kind in zip(call.arguments, signature.arguments, strict=False):
             found = self._walk(argument, scope, kind)
             if found is not None and not _agree(found, kind):
+                fits = False
                 what = f"`{call.function}` gets {_word(found)} for {_word(kind)}"
                 self._note(Code.ECS203, argument.at, what, remedy)
-        if call.function in EDGES:
+        if call.function in EDGES and fits:
             self._edge(call, scope)
         return signature.result
 

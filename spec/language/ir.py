@@ -566,7 +566,7 @@ class ObjectEntry:
     """One entry of the object dictionary.
 
     `states` are the AL states in which it can be written, `read_states` those in which it can be
-    read; empty for all.
+    read; empty for all. `maps`: it is a mapping entry of so many bits, of an unknown object.
     """
 
     index: int
@@ -582,6 +582,7 @@ class ObjectEntry:
     high: int | None = None
     default: int | str | None = None
     mappable: bool = False
+    maps: int | None = None
     clauses: tuple[str, ...] = ()
     at: Span = field(default=NOWHERE, compare=False)
 

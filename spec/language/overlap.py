@@ -62,7 +62,7 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from ecatspec.spec.language.ir import Expression, Machine, Protocol, Span
 
@@ -74,8 +74,21 @@ BUDGET: Final = 20_000
 
 _Value: TypeAlias = int | str
 _Dimension: TypeAlias = Ref | Call | Binary
-_Environment: TypeAlias = "dict[_Dimension, _Value]"
 _Row: TypeAlias = Rule | Gap
+
+
+class _Environment(dict[_Dimension, _Value]):
+    """Values of dimensions; `missing` are those that were asked for and have none yet."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.missing: dict[_Dimension, None] = {}
+
+    def value(self, dimension: _Dimension) -> _Value | None:
+        found = self.get(dimension)
+        if found is None:
+            self.missing[dimension] = None
+        return found
 
 
 def meaning(protocol: Protocol) -> list[Diagnostic]:
@@ -172,12 +185,14 @@ def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
 
 def _both(one: _Guard, other: _Guard) -> _Environment | None:
     """Sample values that make both guards true."""
+    if any((value, not holds) in other.claims for value, holds in one.claims):
+        return None
     samples = {
         d: one.samples.get(d, set()) | other.samples.get(d, set())
         for d in {**one.samples, **other.samples}
     }
     samples = _shared(samples, one.pairs | other.pairs)
-    return _search([one.test, other.test], samples)
+    return _search([*one.tests, *other.tests], samples)
 
 
 def _shared(
@@ -192,45 +207,38 @@ def _shared(
     return samples
 
 
-def _search(
-    tests: list[Callable[[_Environment], _Value | None]], samples: dict[_Dimension, set[_Value]]
-) -> _Environment | None:
-    """Depth first, with a cut where a guard is false whatever the rest will be."""
-    order = list(samples)
-    values = [sorted(samples[dimension], key=_order) for dimension in order]
+def _search(tests: Sequence[_Test], samples: dict[_Dimension, set[_Value]]) -> _Environment | None:
+    """Depth first, along the test that asks for least, with a cut where one is false for sure."""
+    environment = _Environment()
     budget = BUDGET
-    environment: _Environment = {}
-    iterators: list[Iterator[_Value]] = []
 
-    def state() -> bool | None:
-        results = [test(environment) for test in tests]
-        if any(result is not None and not result for result in results):
-            return False
+    def found() -> bool:
+        nonlocal budget
+        asked: list[list[_Dimension]] = []
+        for test in tests:
+            environment.missing.clear()
+            result = test(environment)
+            if result is None:
+                asked.append(list(environment.missing))
+            elif not result:
+                return False
         if not _possible(environment):
             return False
-        return True if all(results) else None
+        if not asked:
+            return True
+        fewest = min(asked, key=len)
+        for value in sorted(samples.get(fewest[0], ()), key=_order) if fewest else ():
+            budget -= 1
+            if budget <= 0:
+                break
+            environment[fewest[0]] = value
+            if found():
+                return True
+        if fewest:
+            environment.pop(fewest[0], None)
+        return False
 
-    now = state()
-    if now is not None:
-        return dict(environment) if now else None
-    iterators.append(iter(values[0])) if values else None
-    while iterators:
-        depth = len(iterators) - 1
-        value = next(iterators[-1], None)
-        if value is None:
-            iterators.pop()
-            environment.pop(order[depth], None)
-            continue
-        environment[order[depth]] = value
-        budget -= 1
-        if not budget:
-            return None
-        now = state()
-        if now:
-            return dict(environment)
-        if now is None and depth + 1 < len(order):
-            iterators.append(iter(values[depth + 1]))
-    return None
+    return environment if found() else None
 
 
 def _order(value: _Value) -> tuple[bool, int, str]:
@@ -317,7 +325,7 @@ class _Operand:
 
 
 class _Guard:
-    """A guard made ready for the search: a three-valued test and the samples of its dimensions."""
+    """A guard made ready for the search: three-valued tests and the samples of dimensions."""
 
     def __init__(self, protocol: Protocol, machine: Machine, row: _Row, *, pinned: bool) -> None:
         self._protocol = protocol
@@ -328,9 +336,11 @@ class _Guard:
         self._constants: set[int] = set()
         self._numeric: set[_Dimension] = set()
         self.calculates = False
-        self.test: _Test = _constantly(value=True)
+        self.claims: set[tuple[Expression, bool]] = set()
+        self.tests: list[_Test] = []
         if row.guard is not None:
-            self.test = self._build(row.guard, Bool()).test
+            parts = self._conjuncts(row.guard, negated=False)
+            self.tests = [self._build(part, Bool()).test for part in parts]
         if self.calculates:
             for dimension in self._numeric:
                 self._near(dimension, self._constants)
@@ -342,9 +352,31 @@ class _Guard:
             total *= len(values)
         if total > BUDGET:
             return False
-        return _search([self.test], _shared(self.samples, self.pairs)) is None
+        return _search(self.tests, _shared(self.samples, self.pairs)) is None
 
     # --- expressions ---
+
+    def _conjuncts(self, value: Expression, *, negated: bool) -> Iterator[Expression]:
+        """What must all hold for the expression to hold, or (negated) for it not to hold."""
+        self.claims.add((value, not negated))
+        match value:
+            case Binary("and", left, right) if not negated:
+                parts = [(left, False), (right, False)]
+            case Binary("or", left, right) if negated:
+                parts = [(left, True), (right, True)]
+            case Unary("not", operand):
+                parts = [(operand, not negated)]
+            case Name(path):
+                ref = resolve(self._protocol, path, self._scope, Bool())
+                parts = []
+                if isinstance(ref, DefinitionRef):
+                    parts = [(self._protocol.definitions[ref.name].value, negated)]
+            case _:
+                parts = []
+        for part, turned in parts:
+            yield from self._conjuncts(part, negated=turned)
+        if not parts:
+            yield Unary("not", value) if negated else value
 
     def _build(self, value: Expression, expected: Kind | None) -> _Operand:
         match value:
@@ -431,7 +463,7 @@ class _Guard:
             self.samples[dimension] = self._first_samples(dimension, kind)
             if not isinstance(kind, Bool | ChoiceRef):
                 self._numeric.add(dimension)
-        return _Operand(lambda e: e.get(dimension), dimension)
+        return _Operand(lambda e: e.value(dimension), dimension)
 
     def _first_samples(self, dimension: _Dimension, kind: Kind | None) -> set[_Value]:
         match kind:

@@ -98,7 +98,7 @@ _WORDS: Final = {
     "HEX": 'bytes such as hex"01 02"',
     "LEVEL": "must, should or may",
     "OPENNESS": "open or closed",
-    "INPUT_KIND": "write or frame",
+    "INPUT_KIND": "`frame` or `write`",
     "ACCESS": "ro, wo, rw or none",
     "BOOLEAN": "true or false",
     "TIME_UNIT": "us, ms or s",
@@ -308,6 +308,10 @@ class _Children:
             return None
         return self.word()
 
+    def optional_number(self) -> int | None:
+        word = self.optional_word()
+        return None if word is None else _number(word)
+
     def words(self, kind: str) -> list[str]:
         """All tokens of one kind that come next; an empty optional part counts as none."""
         found = []
@@ -454,10 +458,9 @@ class _Builder:
 
     def _word(self, tree: Tree[Token]) -> Word:
         children, at = self._open(tree)
-        name, index, subindex = children.word(), children.optional_word(), children.optional_word()
-        key = None
-        if index is not None and subindex is not None:
-            key = _number(index), _number(subindex)
+        name = children.word()
+        index, subindex = children.optional_number(), children.optional_number()
+        key = None if index is None or subindex is None else (index, subindex)
         size, clauses = children.number(), self._ids(children.given("id_list"))
         fields = tuple(self._register_field(field) for field in children.trees())
         return Word(name, key, size, fields, clauses, at)
@@ -515,6 +518,7 @@ class _Builder:
         readable = children.given("readable")
         low, high = children.optional_tree(), children.optional_tree()
         default = children.optional_tree()
+        maps = children.optional_word()
         preset: int | str | None = None
         if default is not None:
             string = default.data == "string_default"
@@ -533,6 +537,7 @@ class _Builder:
             low=None if low is None else self._signed(low),
             high=None if high is None else self._signed(high),
             default=preset,
+            maps=None if maps is None else int(maps, 0),
             clauses=self._ids(children.given("id_list")),
             at=at,
         )

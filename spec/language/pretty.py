@@ -309,6 +309,7 @@ def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
         f"readable in {{ {', '.join(entry.read_states)} }}" if entry.read_states else "",
         "" if entry.low is None else f"range {entry.low} .. {entry.high}",
         default or "",
+        "" if entry.maps is None else f"maps {entry.maps}",
         _ids(entry.clauses),
     )
 

@@ -1,0 +1,81 @@
+"""The only place where process data become what the MainDevice writes: settings and images."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import row
+from ecatspec.generators.case import WriteRegister, WriteRegisters
+from ecatspec.model.esc import PROCESS_DATA
+from ecatspec.model.evaluate import Environment
+from ecatspec.model.process_image import INPUTS, OUTPUTS, placed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ecatspec.generators.case import SetUpProcessData
+    from ecatspec.model.compiled import Model
+    from ecatspec.model.state import State
+
+_BYTE = 8
+_AREAS = dict(zip(PROCESS_DATA, ("process_data_out", "process_data_in"), strict=True))
+_DIRECTIONS = dict(zip(PROCESS_DATA, ("main_writes", "main_reads"), strict=True))
+_ASSIGNMENTS = dict(zip(PROCESS_DATA, (OUTPUTS, INPUTS), strict=True))
+
+
+def image_size(model: Model, state: State, sync_manager: str) -> int | None:
+    """Give the bytes that the objects of a state assign to a SyncManager; None: not known."""
+    layout = model.image.layout(_environment(state), _ASSIGNMENTS[sync_manager])
+    return None if layout is None else -(-sum(part.bits for part in layout) // _BYTE)
+
+
+def settings(model: Model, state: State, wanted: SetUpProcessData) -> tuple[WriteRegisters, ...]:
+    """Give the writes that set both process data SyncManagers, for what a state assigns.
+
+    One without process data, or of which nothing is known, is switched off.
+    """
+    writes = []
+    for name in PROCESS_DATA:
+        size = image_size(model, state, name) or 0
+        fields = {
+            "start": model.parameter(_AREAS[name], "start"),
+            "length": max(0, size + wanted.longer.get(name, 0)),
+            "mode": row(model, "sync_manager_mode", "buffered"),
+            "direction": row(model, "sync_manager_direction", _DIRECTIONS[name]),
+        }
+        if name == PROCESS_DATA[0]:
+            fields["watchdog_trigger"] = 1
+        activation = f"{name}_activation"
+        enabled = wanted.changes.get(activation, {"enabled": int(fields["length"] > 0)})
+        writes.append(
+            WriteRegisters(
+                (
+                    WriteRegister(name, fields | dict(wanted.changes.get(name, {}))),
+                    WriteRegister(activation, enabled),
+                )
+            )
+        )
+    return tuple(writes)
+
+
+def image(model: Model, state: State, words: Mapping[str, int]) -> bytes | None:
+    """Give the outputs that hold these words; None where their layout is not known, or none."""
+    layout = model.image.layout(_environment(state), OUTPUTS)
+    if not layout:
+        return None
+    keys = {model.protocol.words[name].key: value for name, value in words.items()}
+    content = 0
+    for part in layout:
+        if part.key in keys:
+            content = placed(content, part, keys[part.key])
+    return content.to_bytes(-(-sum(part.bits for part in layout) // _BYTE), "little")
+
+
+def holds(model: Model, state: State, word: str) -> bool:
+    """Tell whether the outputs hold a word."""
+    layout = model.image.layout(_environment(state), OUTPUTS)
+    return any(part.key == model.protocol.words[word].key for part in layout or ())
+
+
+def _environment(state: State) -> Environment:
+    return Environment(state.slots, state.known(), {})

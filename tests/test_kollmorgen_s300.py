@@ -1,0 +1,445 @@
+"""The only place for tests of the text of the Kollmorgen S300: its evidence and its table of commands."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import pytest
+
+from ecatspec.model.compiled import Model
+from ecatspec.model.interpreter import fields_with_before, step
+from ecatspec.model.state import Event
+from ecatspec.spec.language.ir import Binary, Call, Gap, Literal, Name, OneOf, Rule, Unary
+from ecatspec.spec.language.load import load_device
+
+if TYPE_CHECKING:
+    from ecatspec.model.state import State
+    from ecatspec.spec.language.ir import Expression, Protocol
+
+TEXT = Path(__file__).resolve().parent.parent / "spec" / "devices" / "kollmorgen-s300.ecs"
+CLAUSES, OBJECTS, ANOMALIES = 102, 18, 36
+FIRST, LAST = 28, 176
+"""The claims on chapter 3; those before are on wires and lamps, those behind on missing pages."""
+
+BITS: Final = ("fault_reset", "enable_operation", "quick_stop", "enable_voltage", "switch_on")
+"""The columns of the manual's table: bits 7, 3, 2, 1 and 0 of the control word."""
+
+COMMANDS: Final = """
+row_1          NOT_READY          SWITCH_ON_DISABLED  X X X 0 X
+row_2          SWITCH_ON_DISABLED READY_TO_SWITCH_ON  X X X 1 0
+row_3          READY_TO_SWITCH_ON SWITCHED_ON         X X 1 1 P
+row_4          SWITCHED_ON        OPERATION_ENABLED   X P 1 1 1
+row_5          OPERATION_ENABLED  SWITCHED_ON         X N 1 1 1
+row_5_second   OPERATION_ENABLED  SWITCHED_ON         X X N 1 1
+row_6          SWITCHED_ON        READY_TO_SWITCH_ON  X X X 1 N
+row_7          READY_TO_SWITCH_ON SWITCH_ON_DISABLED  X X X N X
+row_8          OPERATION_ENABLED  READY_TO_SWITCH_ON  X X X 1 N
+row_9          OPERATION_ENABLED  SWITCH_ON_DISABLED  X X X N X
+row_10         SWITCHED_ON        SWITCH_ON_DISABLED  X X X N X
+row_11         OPERATION_ENABLED  QUICK_STOP_ACTIVE   X 1 N 1 1
+row_12         QUICK_STOP_ACTIVE  SWITCH_ON_DISABLED  X X X N X
+row_15         FAULT              SWITCH_ON_DISABLED  P X X X X
+"""
+"""Lines 769 to 784 of the manual. 0, 13 and 14 come by themselves, a row for 16 is missing."""
+
+ADDED: Final = {("row_5_second", "enable_operation"): "0"}
+"""Where a guard is closer than its row: ANOM-087, transition 11 goes before the second row 5."""
+
+OTHER_CONDITIONS: Final = {"command_counts", "tested", "power", "not cause", "drive_release"}
+"""What rows want beside the control word."""
+
+
+@pytest.fixture(scope="module")
+def s300() -> Protocol:
+    return load_device("kollmorgen-s300")
+
+
+def ids_in(path: Path, pattern: str) -> set[str]:
+    """All that the pattern's group finds at the beginning of lines."""
+    return set(re.findall(pattern, path.read_text(encoding="utf-8"), re.MULTILINE))
+
+
+def own_clauses(protocol: Protocol) -> set[str]:
+    return {name for name in protocol.clauses if name.startswith("S300-C")}
+
+
+def cited_claims(protocol: Protocol) -> set[str]:
+    return {claim for clause in protocol.clauses.values() for claim in clause.claims}
+
+
+# --- evidence -------------------------------------------------------------------------------------
+
+
+def test_every_claim_is_a_claim_on_this_drive(s300: Protocol, shared: Path) -> None:
+    known = ids_in(shared / "evidence" / "claims.yaml", r"^- id: (S300-\d{3})$")
+    assert cited_claims(s300) <= known
+
+
+def test_all_claims_on_the_chapter_are_carried(s300: Protocol) -> None:
+    wanted = {f"S300-{number:03}" for number in range(FIRST, LAST + 1)}
+    assert wanted <= cited_claims(s300)
+
+
+def test_every_clause_of_the_drive_names_a_claim_and_lines(s300: Protocol) -> None:
+    for name in own_clauses(s300):
+        clause = s300.clauses[name]
+        assert clause.claims, name
+        assert re.search(r"lines? \d+", clause.source), name
+
+
+def test_the_cited_lines_are_in_the_manual(s300: Protocol, shared: Path) -> None:
+    (manual,) = s300.manuals
+    lines = (shared / "manuals" / manual.file).read_text(encoding="utf-8").count("\n")
+    for name in own_clauses(s300):
+        part = re.sub(r"sections? [\d.-]+|ANOM-\d+", "", s300.clauses[name].source)
+        numbers = [int(number) for number in re.findall(r"\b\d{2,}", part)]
+        assert numbers, name
+        assert max(numbers) <= lines, name
+
+
+def test_every_anomaly_is_filed(s300: Protocol, shared: Path) -> None:
+    file = shared / "evidence" / "anomalies.md"
+    concerned = ids_in(file, r"^\| (ANOM-\d{3}) \| \w \| (?:[^|]*\bS300\b[^|]*|all) \|")
+    filed = {anomaly.id for anomaly in s300.anomalies}
+    assert filed <= concerned
+    # how the process side is called, ports, station address: nothing of it is in this text
+    assert concerned - filed == {"ANOM-015", "ANOM-108", "ANOM-110"}
+
+
+def test_every_clause_is_used() -> None:
+    text = TEXT.read_text(encoding="utf-8")
+    declared = set(re.findall(r"^clause (S300-C\d+)", text, re.MULTILINE))
+    statements = re.sub(r"^clause .*$", "", text, flags=re.MULTILINE)
+    assert set(re.findall(r"S300-C\d+", statements)) == declared
+
+
+def test_golden_counts(s300: Protocol) -> None:
+    found = len(own_clauses(s300)), len(s300.objects), len(s300.anomalies)
+    assert found == (CLAUSES, OBJECTS, ANOMALIES)
+
+
+# --- AL state machine -----------------------------------------------------------------------------
+
+
+def test_areas(s300: Protocol) -> None:
+    def area(name: str) -> list[int | bool]:
+        return [part.value for part in s300.parameters[name].value if isinstance(part, Literal)]
+
+    assert area("process_data_out") == [0x1100, 64]
+    assert area("process_data_in") == [0x1140, 72]
+    assert area("mailbox_out") == [0x1800, 512]
+    assert area("mailbox_in") == [0x1C00, 512]
+
+
+def test_pins(s300: Protocol) -> None:
+    assert {name: pin.alternative for name, pin in s300.pins.items()} == {
+        "bootstrap": "supported",
+        "drive_coupling": "coupled",
+        "emulation": "none",
+        "enabled_in_one": "switched_on_only",
+        "identification_support": "unanswered",
+        "mailbox_support": "present",
+        "quick_stop_end": "stays",
+        "refused_in_op": "stay",
+    }
+
+
+def codes_of(protocol: Protocol, rule: Rule) -> set[int]:
+    """The AL status codes that a rule sets."""
+    rows = {row.name: row.value for row in protocol.tables["al_status_code"].rows}
+    found: set[int] = set()
+    for update in rule.updates:
+        if update.variable == "code":
+            items = update.value.items if isinstance(update.value, OneOf) else (update.value,)
+            for item in items:
+                assert isinstance(item, Name), f"{rule.name} sets a code that is no row"
+                found.add(rows[item.path])
+    return found
+
+
+def test_every_code_is_one_of_the_four(s300: Protocol) -> None:
+    table = s300.tables["al_status_code"]
+    assert table.closed
+    assert sorted(row.value for row in table.rows) == [0x0000, 0x0011, 0x0017, 0x001A]
+    for rule in s300.machines["al"].rules:
+        codes_of(s300, rule)
+
+
+@pytest.mark.parametrize(
+    ("name", "codes", "target"),
+    [
+        ("preop_to_safeop_refused", {0x0017}, None),
+        ("safeop_to_op_refused", {0x0017}, None),
+        ("synchronisation_failed", {0x001A}, None),
+        ("sync_lost_in_op", {0x001A}, "SAFEOP"),
+        ("op_skipping_stays", {0x0011}, None),
+    ],
+)
+def test_codes_as_in_the_table(
+    s300: Protocol, name: str, codes: set[int], target: str | None
+) -> None:
+    (rule,) = (rule for rule in s300.machines["al"].rules if rule.name == name)
+    assert (codes_of(s300, rule), rule.target) == (codes, target)
+
+
+def test_a_failed_synchronisation_is_a_fault_of_the_drive_too(s300: Protocol) -> None:
+    (rule,) = (r for r in s300.machines["al"].rules if r.name == "synchronisation_failed")
+    (given,) = rule.gives
+    assert given.target == "ds402.synchronisation_failed"
+
+
+# --- table of commands ----------------------------------------------------------------------------
+
+
+def table_rows() -> list[tuple[str, str, str, tuple[str, ...]]]:
+    rows = [line.split() for line in COMMANDS.strip().splitlines()]
+    return [(name, source, target, tuple(cells)) for name, source, target, *cells in rows]
+
+
+def conjuncts(value: Expression) -> list[Expression]:
+    """The parts of a guard that must all hold."""
+    match value:
+        case Binary("and", left, right):
+            return [*conjuncts(left), *conjuncts(right)]
+        case _:
+            return [value]
+
+
+def cell(value: Expression) -> tuple[str, str]:
+    """The column and the cell that a part of a guard stands for; no cell for another condition."""
+    match value:
+        case Call("rises", (Name(bit),)):
+            return bit, "P"
+        case Call("falls", (Name(bit),)):
+            return bit, "N"
+        case Name(bit) if bit in BITS:
+            return bit, "1"
+        case Unary("not", Name(bit)) if bit in BITS:
+            return bit, "0"
+        case Unary("not", Name(name)):
+            return f"not {name}", ""
+        case Binary("==", Name(name), _) | Name(name):
+            return name, ""
+        case _:
+            pytest.fail(f"{value} is no cell of the table")
+
+
+@pytest.mark.parametrize(("name", "source", "target", "cells"), table_rows())
+def test_the_guard_is_the_row_of_the_manual(
+    s300: Protocol, name: str, source: str, target: str, cells: tuple[str, ...]
+) -> None:
+    (rule,) = (rule for rule in s300.machines["ds402"].rules if rule.name == name)
+    assert (rule.input, rule.sources, rule.target) == ("written", (source,), target)
+    assert rule.guard is not None
+    found = [cell(part) for part in conjuncts(rule.guard)]
+    columns = dict(found)
+    assert len(columns) == len(found)
+    assert "command_counts" in columns
+    assert {column for column, mark in found if not mark} <= OTHER_CONDITIONS
+    expected = tuple(ADDED.get((name, bit), mark) for bit, mark in zip(BITS, cells, strict=True))
+    assert tuple(columns.get(bit, "X") for bit in BITS) == expected
+
+
+def test_no_rule_goes_by_levels_where_the_manual_wants_an_edge(s300: Protocol) -> None:
+    moving = {
+        rule.name
+        for rule in s300.machines["ds402"].rules
+        if rule.input in {"written", "command", "operational"} and rule.target is not None
+    }
+    by_levels = {"shutdown_2", "row_2_in_op"}  # transition 2 has no edge
+    assert moving == {name for name, *_ in table_rows()} | by_levels | {"number_16"}
+
+
+# --- what the drive does --------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model(s300: Protocol) -> Model:
+    return Model(s300)
+
+
+def row(model: Model, table: str, name: str) -> int:
+    return next(r.value for r in model.protocol.tables[table].rows if r.name == name)
+
+
+def drive_state(model: Model, state: State) -> str:
+    value = state.slots[model.slots["ds402.state"]]
+    return next(r.name for r in model.protocol.tables["ds402_state"].rows if r.value == value)
+
+
+def placed(model: Model, state: str, **variables: bool) -> State:
+    """A drive in OP, in a state of its own, that goes no way which is a matter of choice."""
+    choices = {
+        "drive_power": "available",
+        "drive_release": "given",
+        "mains_needed": "yes",
+        "return_edge": "of_either",
+        "return_from_quick_stop": "served",
+    }
+    placed = model.initial.having(model.slots["al.state"], row(model, "al_state", "OP"))
+    placed = placed.having(model.slots["ds402.state"], row(model, "ds402_state", state))
+    for name, way in choices.items():
+        placed = placed.having(model.slots[f"choice {name}"], way)
+    for name, value in variables.items():
+        placed = placed.having(model.slots[f"ds402.{name}"], value)
+    return placed
+
+
+def word(bits: tuple[bool, ...]) -> int:
+    return sum(on << at for on, at in zip(bits, (7, 3, 2, 1, 0), strict=True))
+
+
+def matches(mark: str, before: bool, now: bool) -> bool:  # noqa: FBT001
+    return {
+        "X": True,
+        "0": not now,
+        "1": now,
+        "P": now and not before,
+        "N": before and not now,
+    }[mark]
+
+
+def rows_that_hold(state: str, before: tuple[bool, ...], now: tuple[bool, ...]) -> set[str]:
+    """The rows of the manual, with transition 11 before the second row 5."""
+    found = {
+        name
+        for name, source, _, cells in table_rows()
+        if source == state and all(map(matches, cells, before, now))
+    }
+    return found - {"row_5_second"} if "row_11" in found else found
+
+
+STATES: Final = (
+    "NOT_READY",
+    "SWITCH_ON_DISABLED",
+    "READY_TO_SWITCH_ON",
+    "SWITCHED_ON",
+    "OPERATION_ENABLED",
+    "QUICK_STOP_ACTIVE",
+    "FAULT_REACTION_ACTIVE",
+    "FAULT",
+)
+
+
+def guard_holds(  # noqa: PLR0911
+    protocol: Protocol, value: Expression, before: dict[str, bool], now: dict[str, bool]
+) -> bool:
+    """Judge a guard over the bits of the control word; every other condition is in favour."""
+    match value:
+        case Binary("and", left, right):
+            return guard_holds(protocol, left, before, now) and guard_holds(
+                protocol, right, before, now
+            )
+        case Binary("or", left, right):
+            return guard_holds(protocol, left, before, now) or guard_holds(
+                protocol, right, before, now
+            )
+        case Unary("not", operand):
+            return not guard_holds(protocol, operand, before, now)
+        case Call("rises", (Name(bit),)):
+            return now[bit] and not before[bit]
+        case Call("falls", (Name(bit),)):
+            return before[bit] and not now[bit]
+        case Binary("==", Name(), Name(way)):
+            return way in {"given", "served"}
+        case Binary("!=", Name("return_edge"), _):
+            return True
+        case Name(bit) if bit in now:
+            return now[bit]
+        case Name("command_counts" | "power" | "tested"):
+            return True
+        case Name("cause"):
+            return False
+        case Name(name):
+            return guard_holds(protocol, protocol.definitions[name].value, before, now)
+        case _:
+            pytest.fail(f"{value} is nothing that a word decides")
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_every_change_of_the_word_has_one_rule(s300: Protocol, state: str) -> None:
+    machine = s300.machines["ds402"]
+    rows: list[Rule | Gap] = [
+        row
+        for row in (*machine.rules, *machine.gaps)
+        if row.input == "written" and state in row.sources
+    ]
+    every = tuple(itertools.product((False, True), repeat=len(BITS)))
+    for before, now in itertools.product(every, every):
+        old, new = dict(zip(BITS, before, strict=True)), dict(zip(BITS, now, strict=True))
+        fired = {
+            row.name: row
+            for row in rows
+            if row.guard is not None and guard_holds(s300, row.guard, old, new)
+        }
+        assert len(fired) == 1, (state, word(before), word(now), sorted(fired))
+        wanted = rows_that_hold(state, before, now)
+        moving = {
+            name for name, row in fired.items() if isinstance(row, Rule) and row.target is not None
+        }
+        assert moving - {"number_16"} == wanted, (word(before), word(now))
+
+
+def written(model: Model, before: int, now: int) -> Event:
+    """The drive took a control word from process data."""
+    word = model.protocol.words["control_word"]
+    parameters = fields_with_before(word.fields, now, before)
+    return Event("ds402", "written", {**parameters, "cyclic": True})
+
+
+@pytest.mark.parametrize(
+    ("words", "states"),
+    [
+        ((0x00, 0x06, 0x0F, 0x0F), ("SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "SWITCHED_ON")),
+        ((0x06, 0x07, 0x0F, 0x07), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "SWITCHED_ON")),
+        ((0x06, 0x07, 0x0F, 0x03), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "SWITCHED_ON")),
+        ((0x06, 0x07, 0x0F, 0x0B), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "QUICK_STOP_ACTIVE")),
+        ((0x06, 0x07, 0x0F, 0x0B, 0x0F), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "QUICK_STOP_ACTIVE", "OPERATION_ENABLED")),
+        ((0x06, 0x07, 0x0F, 0x0B, 0x09), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "QUICK_STOP_ACTIVE", "SWITCH_ON_DISABLED")),
+        ((0x06, 0x07, 0x0F, 0x0E), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "READY_TO_SWITCH_ON")),
+        ((0x06, 0x07, 0x0F, 0x00), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED", "SWITCH_ON_DISABLED")),
+        ((0x06, 0x07, 0x03, 0x07), ("READY_TO_SWITCH_ON", "SWITCHED_ON", "SWITCHED_ON", "SWITCHED_ON")),
+        ((0x07, 0x06, 0x04), ("SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCH_ON_DISABLED")),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_ways_through_the_machine(
+    model: Model, words: tuple[int, ...], states: tuple[str, ...]
+) -> None:
+    state, before = placed(model, "SWITCH_ON_DISABLED", mains=True, cause=False), 0
+    for now, expected in zip(words, states, strict=True):
+        (taken,) = step(model, state, written(model, before, now))
+        assert not taken.unspecified
+        assert drive_state(model, taken.state) == expected, hex(now)
+        state, before = taken.state, now
+
+
+def test_held_words_move_nothing_but_transition_2(model: Model) -> None:
+    for state in STATES:
+        for now in range(0x100):
+            begun = placed(model, state, mains=True, cause=False, tested=False)
+            for taken in step(model, begun, written(model, now, now)):
+                after = drive_state(model, taken.state)
+                if state == "SWITCH_ON_DISABLED" and now & 0b11 == 0b10:
+                    assert after == "READY_TO_SWITCH_ON"
+                else:
+                    assert after == state
+
+
+def test_a_word_below_op_has_no_effect(model: Model) -> None:
+    begun = placed(model, "SWITCH_ON_DISABLED", mains=True)
+    begun = begun.having(model.slots["al.state"], row(model, "al_state", "SAFEOP"))
+    (taken,) = step(model, begun, written(model, 0, 0x06))
+    assert drive_state(model, taken.state) == "SWITCH_ON_DISABLED"
+
+
+def test_combinations_without_a_row_are_gaps(model: Model) -> None:
+    for state, before, now in (
+        ("READY_TO_SWITCH_ON", 0x02, 0x03),
+        ("QUICK_STOP_ACTIVE", 0x0B, 0x0A),
+    ):
+        (taken,) = step(model, placed(model, state), written(model, before, now))
+        assert taken.unspecified

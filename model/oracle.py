@@ -198,19 +198,31 @@ class Oracle:
         for candidate in self._expanded(time):
             if candidate.outbox and not unread:
                 return False
-            if any(
-                not (candidate.outbox and p.event.trail) for p in candidate.inbox if p.since <= time
-            ):
+            due = self._due(candidate, time)
+            if any(not (candidate.outbox and pending.event.trail) for pending in due):
                 return False
         return True
 
     def deadline(self, time: int) -> int | None:
         """Give the time by which all that may be to come at `time` must have come."""
-        deadlines = [
-            p.deadline for candidate in self.candidates for p in candidate.inbox if p.since <= time
-        ]
+        deadlines = [p.deadline for c in self.candidates for p in self._due(c, time)]
         deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
         return max(deadlines, default=None)
+
+    def _due(self, candidate: Candidate, time: int) -> list[Pending]:
+        """Give the inputs that may be served now, without what would make no difference."""
+        return [
+            pending
+            for pending in candidate.inbox
+            if pending.since <= time
+            and not (
+                pending.timer
+                and all(
+                    taken.state == candidate.state and not taken.outputs and not taken.alarms
+                    for taken in self._steps(candidate.state, pending.event)
+                )
+            )
+        ]
 
     def may_be(self, machine: str, state: str) -> bool:
         """Tell whether a machine may be in a state, by its name."""

@@ -46,6 +46,8 @@ MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
 REFUSAL = "mailbox_error"
 """The frame that may overtake an answer: the request came while another was in work."""
+HELD = ("process_data.fed", "process_data.image")
+"""The variables that tell whether outputs are those that the device had last."""
 _LIMIT = 256
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
@@ -454,7 +456,9 @@ class Oracle:
             steps = self._steps(candidate.state, event)
             within = max(taken.within for taken in steps)
             until = exchange.time + within
-            if all(taken.state == candidate.state for taken in steps):
+            held = {name: candidate.state.slots[self.model.slots[name]] for name in HELD}
+            same = held == dict(zip(HELD, (True, exchange.data), strict=True))
+            if same or all(taken.state == candidate.state for taken in steps):
                 # the same outputs once more: only what they put off has news of them
                 inbox = _with_alarms(rest, steps[0], exchange.time, until)
             else:

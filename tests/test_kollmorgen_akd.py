@@ -181,7 +181,7 @@ def test_fixed_mappings_have_the_size_of_the_manual(akd: Protocol, pdo: int, siz
 
 def test_process_data_objects_change_in_preop_only(akd: Protocol) -> None:
     for entry in akd.objects:
-        writable = entry.access is Access.READ_WRITE
+        writable = entry.access is Access.BOTH
         if writable and 0x1600 <= entry.index <= 0x1C13:
             assert entry.states == ("PREOP",), hex(entry.index)
 
@@ -201,9 +201,9 @@ def test_a_lost_synchronisation_leaves_the_al_state(akd: Protocol) -> None:
     assert faults == {"FAULT_REACTION_ACTIVE"}
 
 
-def test_remote_is_always_set(akd: Protocol) -> None:
+def test_remote_is_always_set_where_the_word_is_valid(akd: Protocol) -> None:
     (remote,) = (field for field in akd.words["status_word"].fields if field.name == "remote")
     assert remote.low == remote.high == 9
     assert remote.shows is not None
     assert remote.shows.value == Literal(True)  # noqa: FBT003
-    assert remote.shows.condition is None
+    assert remote.shows.condition == Name("status_valid")

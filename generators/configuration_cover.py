@@ -1,0 +1,204 @@
+"""The only place for cases of PDO assignment and mapping: order, counts, what they can hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, row, way_to
+from ecatspec.generators.case import Case, Probe, ReadConfiguration, SetUpProcessData, WriteOutputs
+from ecatspec.generators.transfers import download, upload
+from ecatspec.model.dictionary import encode_value, size_of
+from ecatspec.model.process_image import INPUTS, OUTPUTS
+from ecatspec.spec.language.ir import Access
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Limits, Stimulus
+    from ecatspec.model.compiled import Model
+    from ecatspec.model.values import ObjectKey
+
+_NOWHERE = 0x5FFF
+"""An index that no profile uses."""
+
+
+def configuration_cover(model: Model, _: Limits) -> Iterator[Case]:
+    """Yield the cases of a device whose texts declare what assigns its process data."""
+    if not has_process_data(model):
+        return
+    yield _case(model, "read", (ReadConfiguration(),))
+    for name in (OUTPUTS, INPUTS):
+        index = model.image.assignments[name]
+        if (index, 0) in model.dictionary.entries:
+            yield from _assignments(model, name, index)
+    for name in (OUTPUTS, INPUTS):
+        for pdo in _pdos(model, name):
+            yield from _mappings(model, name, pdo)
+
+
+# --- assignment -----------------------------------------------------------------------------------
+
+
+def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
+    own, other = _pdos(model, name), _pdos(model, INPUTS if name == OUTPUTS else OUTPUTS)
+    key = f"{index:04X}"
+    for pdo in own:
+        way = (*_assign(model, index, pdo), *_up(model))
+        yield _case(model, f"assign/{key}_{pdo:04X}", way)
+    if not own:
+        return
+    clear, one = _set(model, index, 0, 0), _set(model, index, 0, 1)
+    first = _set(model, index, 1, own[0])
+    yield _case(model, f"cleared/{key}", (clear, *_up(model)))
+    yield _case(model, f"entry_while_counted/{key}", (one, _set(model, index, 1, own[-1])))
+    yield _case(model, f"same_entry_while_counted/{key}", (clear, first, one, first))
+    most = model.dictionary.highest(index)
+    for count in (most + 1, 0xFF):
+        yield _case(model, f"count_{count}/{key}", (clear, first, _set(model, index, 0, count)))
+    strange = {"undeclared": _NOWHERE, "free": _free(model, name)}
+    if other:
+        strange["other_direction"] = other[0]
+    for what, pdo in strange.items():
+        tried = (clear, _set(model, index, 1, pdo), one, _ask(index, 0), _ask(index, 1))
+        yield _case(model, f"{what}/{key}", tried)
+    for state in ("SAFEOP", "OP"):
+        yield _case(model, f"changed_in_{state}/{key}", (clear, _ask(index, 0)), state)
+        yield _case(model, f"entry_changed_in_{state}/{key}", (first, _ask(index, 1)), state)
+    to_init = request(row(model, "al_state", "INIT"))
+    preop = request(row(model, "al_state", "PREOP"))
+    again = (to_init, *mailbox_settings(model), preop, ReadConfiguration())
+    yield _case(model, f"survives_init/{key}", (*_assign(model, index, own[-1]), *again))
+    safeop = request(row(model, "al_state", "SAFEOP"))
+    late = (SetUpProcessData(), *_assign(model, index, own[-1]), safeop)
+    yield _case(model, f"settings_before/{key}", late)
+
+
+def _assign(model: Model, index: int, pdo: int) -> tuple[Stimulus, ...]:
+    return _set(model, index, 0, 0), _set(model, index, 1, pdo), _set(model, index, 0, 1)
+
+
+def _up(model: Model) -> tuple[Stimulus, ...]:
+    """Give the way from PREOP to OP with the process data that are assigned by then."""
+    safeop, op = (request(row(model, "al_state", name)) for name in ("SAFEOP", "OP"))
+    return SetUpProcessData(), safeop, WriteOutputs(), op
+
+
+# --- mapping --------------------------------------------------------------------------------------
+
+
+def _mappings(model: Model, name: str, pdo: int) -> Iterator[Case]:
+    entries = model.dictionary.entries
+    key = f"{pdo:04X}"
+    if entries[pdo, 0].access is Access.READ:
+        zero = _set(model, pdo, 0, 0)
+        yield _case(model, f"fixed/{key}", (zero, _ask(pdo, 0)))
+        return
+    index = model.image.assignments[name]
+    most = model.dictionary.highest(pdo)
+    free = (_set(model, index, 0, 0), _set(model, pdo, 0, 0))
+    good = [_entry_of(model, held) for held in _mappable(model, name)]
+    for number, value in enumerate(good):
+        way = (*free, _set(model, pdo, 1, value), _set(model, pdo, 0, 1))
+        done = (*way, _set(model, index, 1, pdo), _set(model, index, 0, 1), *_up(model))
+        yield _case(model, f"map_{number}/{key}", done)
+    if not good:
+        return
+    first = _set(model, pdo, 1, good[0])
+    one = _set(model, pdo, 0, 1)
+    yield _case(model, f"map_while_counted/{key}", (*free, first, one, _set(model, pdo, 1, 0)))
+    yield _case(model, f"map_count_{most + 1}/{key}", (*free, first, _set(model, pdo, 0, most + 1)))
+    for what, value in _unmappable(model, name, good[0]).items():
+        tried = (*free, _set(model, pdo, 1, value), one, _ask(pdo, 0), _ask(pdo, 1))
+        yield _case(model, f"map_{what}/{key}", tried)
+    long = _too_much(model, good, most)
+    if long:
+        filled = [_set(model, pdo, n, value) for n, value in enumerate(long, 1)]
+        yield _case(model, f"map_too_much/{key}", (*free, *filled, _set(model, pdo, 0, len(long))))
+    for state in ("SAFEOP", "OP"):
+        late = (_set(model, pdo, 0, 0), _ask(pdo, 0))
+        yield _case(model, f"mapped_in_{state}/{key}", late, state)
+
+
+def _unmappable(model: Model, name: str, good: int) -> dict[str, int]:
+    """Give mapping entries that no device can hold."""
+    found = {
+        "nothing": _value(model, (_NOWHERE, 0), 16),
+        "more_bits": good + 8,
+    }
+    wrong = Access.READ if name == OUTPUTS else Access.WRITE
+    for key, entry in model.dictionary.entries.items():
+        if entry.access is wrong and entry.mappable:
+            found["wrong_way"] = _entry_of(model, key)
+            break
+    for key, entry in model.dictionary.entries.items():
+        if not entry.mappable and not model.image.configures(key[0]):
+            found["unmappable"] = _entry_of(model, key)
+            break
+    return found
+
+
+def _too_much(model: Model, good: list[int], most: int) -> list[int]:
+    """Give entries that a PDO could count, with more bits than it holds; nothing: it holds all."""
+    room = model.parameter("pdo_capacity")
+    bits = {value: _size(model, value) for value in good}
+    chosen: list[int] = []
+    for value in sorted(good, key=lambda each: -bits[each]):
+        chosen.append(value)
+        if sum(bits[each] for each in chosen) > room * 8:
+            return chosen if len(chosen) <= most else []
+    return []
+
+
+# --- helpers --------------------------------------------------------------------------------------
+
+
+def _pdos(model: Model, name: str) -> list[int]:
+    first, count = model.span("rx_pdos" if name == OUTPUTS else "tx_pdos")
+    indices = {index for index, _ in model.dictionary.entries}
+    return sorted(index for index in indices if first <= index < first + count)
+
+
+def _free(model: Model, name: str) -> int:
+    """Give an index of PDOs of this direction under which no text declares one."""
+    first, count = model.span("rx_pdos" if name == OUTPUTS else "tx_pdos")
+    taken = set(_pdos(model, name))
+    return next(index for index in reversed(range(first, first + count)) if index not in taken)
+
+
+def _mappable(model: Model, name: str) -> list[ObjectKey]:
+    wrong = Access.READ if name == OUTPUTS else Access.WRITE
+    entries = model.dictionary.entries.values()
+    return [(e.index, e.subindex) for e in entries if e.mappable and e.access is not wrong]
+
+
+def _entry_of(model: Model, key: ObjectKey) -> int:
+    return _value(model, key, 8 * size_of(model.dictionary.entries[key]))
+
+
+def _value(model: Model, key: ObjectKey, bits: int) -> int:
+    fields = {f.name: f.low for f in model.protocol.words["pdo_entry"].fields}
+    return bits << fields["bit_length"] | key[1] << fields["subindex"] | key[0] << fields["index"]
+
+
+def _size(model: Model, value: int) -> int:
+    field = next(f for f in model.protocol.words["pdo_entry"].fields if f.name == "bit_length")
+    return value >> field.low & ((1 << (field.high - field.low + 1)) - 1)
+
+
+def _set(model: Model, index: int, subindex: int, value: int) -> Stimulus:
+    entry = model.dictionary.entries.get((index, subindex))
+    if entry is None:
+        return download(index, subindex, value.to_bytes(4, "little"))
+    return download(index, subindex, encode_value(entry, value))
+
+
+def _ask(index: int, subindex: int) -> Stimulus:
+    return upload(index, subindex)
+
+
+def _case(model: Model, name: str, stimuli: tuple[Stimulus, ...], state: str = "PREOP") -> Case:
+    way = way_to(model, state)
+    title = f"process data objects: {name.replace('_', ' ').replace('/', ', ')}"
+    return Case(
+        f"sdo/configuration/{name}", title, "sdo", (*way, *stimuli, Probe()), state, len(way)
+    )

@@ -1,0 +1,262 @@
+"""The only place for cases of CiA 402: every command and event in every drive state, and modes.
+
+The states are those that the virtual SubDevice reaches with process data in OP; each case is the
+shortest way to a state, then a control word that keeps it, and one input more: what counts may be
+the level of a bit or its edge.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import has_process_data, request, row, way_to
+from ecatspec.generators.case import (
+    Case,
+    Happen,
+    Probe,
+    Stimulus,
+    StopOutputs,
+    Wait,
+    WriteOutputs,
+)
+from ecatspec.generators.play import play
+from ecatspec.generators.process_data import holds
+from ecatspec.generators.transfers import download, upload
+from ecatspec.model.dictionary import encode_value
+from ecatspec.model.subdevice import VirtualSubDevice
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Limits
+    from ecatspec.model.compiled import Model
+
+Symbol = tuple[str, Stimulus]
+Way = tuple[Symbol, ...]
+
+CONTROL, STATUS = "control_word", "status_word"
+_LONG = 1_000_000
+_EVENTS = ("fault", "fault_gone", "mains_off", "mains_on")
+_CODES = {"shutdown_code": "shutdown", "disable_code": "switch_on", "halt_code": "halt"}
+"""Words that hold option codes, and the command that each speaks of."""
+_ENABLED = "OPERATION_ENABLED"
+
+
+def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
+    """Yield the cases of a device whose texts declare a control word."""
+    words = {word.name: word.key for word in model.words.values()}
+    if CONTROL not in words or STATUS not in words:
+        return
+    yield from _by_sdo(model)
+    if not has_process_data(model):
+        return
+    device = VirtualSubDevice(model.protocol)
+    if not holds(model, device.state, CONTROL):
+        return
+    ways = _ways(model, device)
+    for way in ways.values():
+        for symbol in _symbols(model):
+            yield _case(model, (*way, symbol))
+    shortest = _shortest(model, ways)
+    for way in shortest.values():
+        for kept in _keeping(model, device, way):
+            for symbol in _words(model):
+                yield _case(model, (*way, kept, symbol))
+    yield from _leaving(model, shortest)
+    yield from _options(model, shortest)
+    yield from _modes(model)
+    yield from _reads(model, shortest)
+
+
+def commands(model: Model) -> dict[str, int]:
+    """Give the control words of the commands, as the fields of the word make them up."""
+    fields = {field.name: field.low for field in model.protocol.words[CONTROL].fields}
+
+    def word(*names: str) -> int:
+        return sum(1 << fields[name] for name in names)
+
+    ready = ("enable_voltage", "quick_stop")
+    on = ("switch_on", *ready)
+    return {
+        "disable_voltage": 0,
+        "quick_stop": word("enable_voltage"),
+        "shutdown": word(*ready),
+        "shutdown_with_enable": word(*ready, "enable_operation"),
+        "switch_on": word(*on),
+        "enable_operation": word(*on, "enable_operation"),
+        "halt": word(*on, "enable_operation", "halt"),
+        "quick_stop_enabled": word("switch_on", "enable_voltage", "enable_operation"),
+        "fault_reset": word("fault_reset"),
+        "fault_reset_enabled": word("fault_reset", *on, "enable_operation"),
+    }
+
+
+def _words(model: Model) -> Iterator[Symbol]:
+    for name, value in commands(model).items():
+        yield name, WriteOutputs({CONTROL: value})
+
+
+def _symbols(model: Model) -> Iterator[Symbol]:
+    yield from _words(model)
+    for event in _EVENTS:
+        yield event, Happen(f"ds402.{event}")
+
+
+def _ways(model: Model, device: VirtualSubDevice) -> dict[tuple[object, ...], Way]:
+    """Give the shortest way to each state of the drive, its power and the cause of its fault."""
+    ways: dict[tuple[object, ...], Way] = {}
+    work: deque[Way] = deque([()])
+    while work:
+        way = work.popleft()
+        key = _reached(model, device, way)
+        if key not in ways:
+            ways[key] = way
+            work.extend((*way, symbol) for symbol in _symbols(model))
+    return ways
+
+
+def _reached(model: Model, device: VirtualSubDevice, way: Way) -> tuple[object, ...]:
+    device.reset()
+    play(model, device, (*way_to(model, "OP"), *_of(way)))
+    slots = ("ds402.state", "ds402.mains", "ds402.cause")
+    return tuple(device.state.slots[model.slots[name]] for name in slots)
+
+
+def _keeping(model: Model, device: VirtualSubDevice, way: Way) -> list[Symbol]:
+    """Give the control words that leave the drive in its state."""
+    state = _reached(model, device, way)
+    return [symbol for symbol in _words(model) if _reached(model, device, (*way, symbol)) == state]
+
+
+def _shortest(model: Model, ways: dict[tuple[object, ...], Way]) -> dict[str, Way]:
+    """Give the shortest way to each drive state, by its name."""
+    names = model.state_names("ds402")
+    found: dict[str, Way] = {}
+    for key, way in ways.items():
+        if isinstance(key[0], int):
+            found.setdefault(names[key[0]], way)
+    return found
+
+
+def _case(model: Model, way: Way) -> Case:
+    names = [name for name, _ in way]
+    before = (*way_to(model, "OP"), *(stimulus for _, stimulus in way[:-1]))
+    title = f"{names[-1].replace('_', ' ')} after {', '.join(names[:-1]) or 'OP'}"
+    stimuli = (*before, way[-1][1])
+    return Case(f"ds402/{'/'.join(names)}", title, "ds402", stimuli, "OP", len(way_to(model, "OP")))
+
+
+def _in(model: Model, name: str, stimuli: tuple[Stimulus, ...], state: str = "OP") -> Case:
+    way = way_to(model, state)
+    title = f"drive: {name.replace('_', ' ').replace('/', ', ')}"
+    return Case(f"ds402/{name}", title, "ds402", (*way, *stimuli), state, len(way))
+
+
+# --- beside the state machine ---------------------------------------------------------------------
+
+
+def _by_sdo(model: Model) -> Iterator[Case]:
+    """Yield control words by SDO, each followed by a look at the status word."""
+    control, status = (model.protocol.words[name].key for name in (CONTROL, STATUS))
+    if control is None or status is None:
+        return
+    known = commands(model)
+    up = ("shutdown", "switch_on", "enable_operation")
+    for state in ("PREOP", "SAFEOP", "OP"):
+        for count in range(1, len(up) + 1):
+            stimuli: list[Stimulus] = []
+            for name in up[:count]:
+                stimuli += [_set(model, control, known[name]), upload(*status)]
+            yield _in(model, f"by_sdo/{state}/{up[count - 1]}", tuple(stimuli), state)
+        yield _in(model, f"by_sdo/{state}/status", (upload(*status), Probe()), state)
+
+
+def _reads(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield the status word by SDO in each drive state."""
+    status = model.protocol.words[STATUS].key
+    if status is not None:
+        for name, way in ways.items():
+            yield _in(model, f"status_by_sdo/{name}", (*_of(way), upload(*status)))
+
+
+def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield what takes OP away in each drive state, and the way back."""
+    again = tuple(WriteOutputs({CONTROL: value}) for value in (0, 0))
+    op = request(row(model, "al_state", "OP"))
+    safeop = request(row(model, "al_state", "SAFEOP"), acknowledge=True)
+    options: list[int | None] = [*_values(model, "connection_code")] or [None]
+    for name, way in ways.items():
+        for target in ("SAFEOP", "PREOP", "INIT"):
+            down = request(row(model, "al_state", target))
+            yield _in(model, f"leaving_by_{target}/{name}", (*_of(way), down))
+        down = request(row(model, "al_state", "SAFEOP"))
+        yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again))
+        yield _in(model, f"watchdog/{name}", (*_of(way), StopOutputs(), Wait(_LONG)))
+    for option in options:
+        chosen = () if option is None else (_option(model, "connection_code", option),)
+        lost = (*_of(ways.get(_ENABLED, ())), StopOutputs(), Wait(_LONG), WriteOutputs())
+        done = (*chosen, *lost, safeop, op, *again)
+        yield _in(model, f"connection_lost/{'default' if option is None else option}", done)
+
+
+def _options(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield a quick stop, halt and disabling with every option code that the texts allow."""
+    known = commands(model)
+    enabled = ways.get(_ENABLED)
+    if enabled is None:
+        return
+    after = ("enable_operation", "shutdown", "switch_on", "disable_voltage", "quick_stop")
+    for option in _values(model, "quick_stop_code"):
+        chosen = (_option(model, "quick_stop_code", option), *_of(enabled))
+        stopped = (*chosen, WriteOutputs({CONTROL: known["quick_stop"]}), Wait(_LONG))
+        for name in after:
+            done = (*stopped, WriteOutputs({CONTROL: known[name]}))
+            yield _in(model, f"quick_stop_code_{option}/{name}", done)
+    for code, name in _CODES.items():
+        for option in _values(model, code):
+            first = (_option(model, code, option), *_of(enabled))
+            done = (*first, WriteOutputs({CONTROL: known[name]}), Wait(_LONG))
+            yield _in(model, f"{code}_{option}/{name}", done)
+    for option in _values(model, "fault_code"):
+        first = (_option(model, "fault_code", option), *_of(enabled))
+        yield _in(model, f"fault_code_{option}/fault", (*first, Happen("ds402.fault")))
+
+
+def _modes(model: Model) -> Iterator[Case]:
+    """Yield every mode of the profile, one that it reserves, and ones of the manufacturer."""
+    chosen, active = (model.protocol.words[name].key for name in ("chosen_mode", "active_mode"))
+    if chosen is None or active is None:
+        return
+    if not {chosen, active} <= model.dictionary.entries.keys():
+        return
+    rows = [r.value for r in model.protocol.tables["operation_mode"].rows]
+    for mode in (*rows, 5, 11, 127, -1):
+        done = (_set(model, chosen, mode), upload(*active))
+        yield _in(model, f"mode_{mode}/PREOP", done, "PREOP")
+        yield _in(model, f"mode_{mode}/OP", done)
+
+
+# --- helpers --------------------------------------------------------------------------------------
+
+
+def _of(way: Way) -> tuple[Stimulus, ...]:
+    return tuple(stimulus for _, stimulus in way)
+
+
+def _set(model: Model, key: tuple[int, int], value: int) -> Stimulus:
+    return download(*key, encode_value(model.dictionary.entries[key], value))
+
+
+def _option(model: Model, word: str, value: int) -> Stimulus:
+    key = model.protocol.words[word].key
+    return _set(model, key or (0, 0), value)
+
+
+def _values(model: Model, word: str) -> list[int]:
+    """Give the values that the range of an option code allows; none where there is no range."""
+    key = model.protocol.words[word].key
+    entry = None if key is None else model.dictionary.entries.get(key)
+    if entry is None or entry.low is None or entry.high is None:
+        return []
+    return [value for value in range(entry.low, entry.high + 1) if value >= 0]

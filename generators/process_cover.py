@@ -1,0 +1,134 @@
+"""The only place for cases of process data: SyncManagers, the way to OP, watchdog, loss."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import has_process_data, request, row, way_to
+from ecatspec.generators.case import (
+    Case,
+    Happen,
+    Probe,
+    SetUpProcessData,
+    Stimulus,
+    StopOutputs,
+    Wait,
+    WriteOutputs,
+    WriteRegister,
+)
+from ecatspec.generators.process_data import image_size
+from ecatspec.model.esc import PROCESS_DATA
+from ecatspec.model.subdevice import VirtualSubDevice
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Limits
+    from ecatspec.model.compiled import Model
+
+_OUTPUTS, _INPUTS = PROCESS_DATA
+_MICROSECONDS = 25
+"""Ticks of 40 ns in one microsecond."""
+
+
+def process_cover(model: Model, _: Limits) -> Iterator[Case]:
+    """Yield the cases of a device whose texts declare process data; else those without."""
+    for state in ("PREOP", "SAFEOP", "OP"):
+        yield _case(model, f"sync_lost/{state}", (Happen("al.sync_lost"),), state)
+    if not has_process_data(model):
+        return
+    power_on = VirtualSubDevice(model.protocol).state
+    used = [name for name in PROCESS_DATA if image_size(model, power_on, name)]
+    yield from _settings(model, used)
+    if _OUTPUTS in used:
+        yield from _way_to_op(model)
+        yield from _watchdog(model)
+    for state in ("SAFEOP", "OP"):
+        for name in used:
+            off = WriteRegister(f"{name}_activation", {"enabled": 0})
+            back = [_to(model, "INIT"), *way_to(model, "OP")]
+            yield _case(model, f"disabled_{name}/{state}", (off, *back), state)
+
+
+def _settings(model: Model, used: list[str]) -> Iterator[Case]:
+    """Yield settings that deviate in one point, then the right ones."""
+    mailbox = row(model, "sync_manager_mode", "mailbox")
+    for name in used:
+        wrong_way = "main_reads" if name == _OUTPUTS else "main_writes"
+        direction = row(model, "sync_manager_direction", wrong_way)
+        area = {_OUTPUTS: "process_data_out", _INPUTS: "process_data_in"}[name]
+        moved = model.parameter(area, "start") + 3 * model.parameter(area, "length")
+        wrong = {
+            "off": SetUpProcessData({f"{name}_activation": {"enabled": 0}}),
+            "too_long": SetUpProcessData(longer={name: 1}),
+            "too_short": SetUpProcessData(longer={name: -1}),
+            "much_too_long": SetUpProcessData(longer={name: 11}),
+            "as_mailbox": SetUpProcessData({name: {"mode": mailbox}}),
+            "reversed": SetUpProcessData({name: {"direction": direction}}),
+            "moved": SetUpProcessData({name: {"start": moved}}),
+        }
+        for what, settings in wrong.items():
+            yield _refused(model, f"{what}_{name}", settings)
+    if len(used) > 1:
+        both = SetUpProcessData(longer=dict.fromkeys(used, 2))
+        yield _refused(model, "too_long_both", both)
+        yield _refused(
+            model, "off_both", SetUpProcessData({f"{n}_activation": {"enabled": 0} for n in used})
+        )
+
+
+def _refused(model: Model, name: str, settings: SetUpProcessData) -> Case:
+    off = tuple(WriteRegister(f"{n}_activation", {"enabled": 0}) for n in PROCESS_DATA)
+    again = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
+    return _case(model, name, (settings, _to(model, "SAFEOP"), *again), "PREOP")
+
+
+def _way_to_op(model: Model) -> Iterator[Case]:
+    op, ack = _to(model, "OP"), _to(model, "OP", acknowledge=True)
+    yield _case(model, "op_without_outputs", (op, WriteOutputs(), ack), "SAFEOP")
+    yield _case(model, "op_with_outputs", (WriteOutputs(), op), "SAFEOP")
+    stale = (WriteOutputs(), StopOutputs(), Wait(2 * _watchdog_time(model)), op)
+    yield _case(model, "op_after_the_watchdog", (*stale, WriteOutputs(), ack), "SAFEOP")
+    back = (_to(model, "SAFEOP"), op, _to(model, "PREOP"), _to(model, "SAFEOP"), op)
+    yield _case(model, "op_again", back, "OP")
+
+
+def _watchdog(model: Model) -> Iterator[Case]:
+    time = _watchdog_time(model)
+    expired = (StopOutputs(), Wait(2 * time))
+    safeop, op = _to(model, "SAFEOP", acknowledge=True), _to(model, "OP")
+    at_once = _to(model, "OP", acknowledge=True)
+    yield _case(model, "watchdog", expired, "OP")
+    yield _case(model, "watchdog_not_yet", (StopOutputs(), Wait(time // 2), WriteOutputs()), "OP")
+    yield _case(model, "watchdog_and_back", (*expired, WriteOutputs(), safeop, op), "OP")
+    yield _case(model, "watchdog_and_op_at_once", (*expired, WriteOutputs(), at_once), "OP")
+    yield _case(model, "watchdog_unacknowledged", (*expired, WriteOutputs(), op), "OP")
+    yield _case(model, "watchdog_and_init", (*expired, _to(model, "INIT")), "OP")
+    yield _case(model, "watchdog_in_safeop", (WriteOutputs(), *expired), "SAFEOP")
+    off = WriteRegister("watchdog_process_data", {"time": 0})
+    yield _case(model, "watchdog_off", (off, WriteOutputs(), *expired), "OP")
+    reset = model.protocol.registers["watchdog_process_data"].reset
+    longer = WriteRegister("watchdog_process_data", {"time": 4 * reset})
+    for what, patience in (("still_waits", 2 * time), ("expires", 5 * time)):
+        done = (longer, WriteOutputs(), StopOutputs(), Wait(patience))
+        yield _case(model, f"longer_watchdog_{what}", done, "OP")
+
+
+def _watchdog_time(model: Model) -> int:
+    """Give the microseconds of the watchdog with its reset values."""
+    divider, time = (
+        model.protocol.registers[name].reset
+        for name in ("watchdog_divider", "watchdog_process_data")
+    )
+    return (divider + 2) * time // _MICROSECONDS
+
+
+def _to(model: Model, state: str, *, acknowledge: bool = False) -> WriteRegister:
+    return request(row(model, "al_state", state), acknowledge=acknowledge)
+
+
+def _case(model: Model, name: str, stimuli: tuple[Stimulus, ...], state: str) -> Case:
+    way = way_to(model, state)
+    title = f"{name.replace('_', ' ').replace('/', ' in ')}"
+    done = (*way, *stimuli, Probe()) if state == "PREOP" else (*way, *stimuli)
+    return Case(f"process_data/{name}", title, "process_data", done, state, len(way))

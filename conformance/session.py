@@ -186,7 +186,7 @@ class Session:
         self._say("MainDevice", f"writes process data {'; '.join(told)}".strip())
 
     def _write_outputs(self) -> None:
-        if self._outputs is not None:
+        if self._outputs is not None and self.oracle.al_states() & {"SAFEOP", "OP"}:
             data = image(self.model, self.oracle.example(), self._outputs)
             if data is not None:
                 self._write(self.model.parameter("process_data_out", "start"), data)

@@ -46,8 +46,8 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
     for state in ("SAFEOP", "OP"):
         for name in used:
             off = WriteRegister(f"{name}_activation", {"enabled": 0})
-            back = [_to(model, "INIT"), *way_to(model, "OP")]
-            yield _case(model, f"disabled_{name}/{state}", (off, *back), state)
+            done: tuple[Stimulus, ...] = (off, _to(model, "INIT"), *way_to(model, "OP"))
+            yield _case(model, f"disabled_{name}/{state}", done, state)
 
 
 def _settings(model: Model, used: list[str]) -> Iterator[Case]:
@@ -79,7 +79,7 @@ def _settings(model: Model, used: list[str]) -> Iterator[Case]:
 
 def _refused(model: Model, name: str, settings: SetUpProcessData) -> Case:
     off = tuple(WriteRegister(f"{n}_activation", {"enabled": 0}) for n in PROCESS_DATA)
-    again = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
+    again: tuple[Stimulus, ...] = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
     return _case(model, name, (settings, _to(model, "SAFEOP"), *again), "PREOP")
 
 

@@ -29,6 +29,7 @@ from ecatspec.generators.process_data import image, settings
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.transfers import upload, upload_segment
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.evaluate import Environment
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.model.words import message_words, register_words
@@ -46,8 +47,10 @@ NOTHING: Final[Mapping[ObjectKey, bytes]] = MappingProxyType({})
 _SECOND = 1_000_000
 _FIRST_WAIT = 500
 _SLOWER = 4
-_CYCLE = 25_000
-"""Microseconds between two writes of the same process data, shorter than any usual watchdog."""
+_SLOWEST = 500_000
+"""Microseconds between two writes of the same process data at most."""
+_OFTEN = 4
+"""Writes of process data in the time of the watchdog."""
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
 
@@ -191,6 +194,12 @@ class Session:
             if data is not None:
                 self._write(self.model.parameter("process_data_out", "start"), data)
 
+    def _cycle(self) -> int:
+        """Give the time between two writes of process data that keeps the watchdog quiet."""
+        environment = Environment(self.oracle.example().slots, {}, {})
+        time = self.model.definition("watchdog_time")(environment)
+        return max(1, min(_SLOWEST, time // _OFTEN)) if isinstance(time, int) and time else _SLOWEST
+
     def _read_inputs(self) -> None:
         area = self.oracle.process_area(DATA_IN)
         if area is not None:
@@ -315,8 +324,9 @@ class Session:
 
     def _wait(self, microseconds: int) -> None:
         until = self.time + microseconds
+        cycle = microseconds if self._outputs is None else self._cycle()
         while self.time < until:
-            part = until - self.time if self._outputs is None else min(_CYCLE, until - self.time)
+            part = min(cycle, until - self.time)
             self.adapter.advance(part / _SECOND)
             self.time += part
             self._write_outputs()

@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 
 AREAS = {"sync_manager_0": "mailbox_out", "sync_manager_1": "mailbox_in"}
 DIRECTIONS = {"sync_manager_0": "main_writes", "sync_manager_1": "main_reads"}
-_BEFORE: Mapping[str, Stimulus] = {"SAFEOP": SetUpProcessData(), "OP": WriteOutputs()}
+WATCHDOG = 20_000
+"""Ticks of the process data watchdog: a test over a slow line must keep it quiet."""
+_BEFORE: Mapping[str, tuple[Stimulus, ...]] = {
+    "SAFEOP": (WriteRegister("watchdog_process_data", {"time": WATCHDOG}), SetUpProcessData()),
+    "OP": (WriteOutputs(),),
+}
 WAY_UP = ("INIT", "PREOP", "SAFEOP", "OP")
 
 
@@ -65,8 +70,8 @@ def way_to(model: Model, state: str) -> tuple[Stimulus, ...]:
     """Give the stimuli from power-on to an AL state on the way up."""
     stimuli: list[Stimulus] = list(mailbox_settings(model))
     for name in WAY_UP[1 : WAY_UP.index(state) + 1]:
-        if name in _BEFORE and has_process_data(model):
-            stimuli.append(_BEFORE[name])
+        if has_process_data(model):
+            stimuli += _BEFORE.get(name, ())
         stimuli.append(request(row(model, "al_state", name)))
     return tuple(stimuli)
 

@@ -36,7 +36,7 @@ Symbol = tuple[str, Stimulus]
 Way = tuple[Symbol, ...]
 
 CONTROL, STATUS = "control_word", "status_word"
-_LONG = 1_000_000
+_LONG = 5_000_000
 _EVENTS = ("fault", "fault_gone", "mains_off", "mains_on")
 _CODES = {"shutdown_code": "shutdown", "disable_code": "switch_on", "halt_code": "halt"}
 """Words that hold option codes, and the command that each speaks of."""

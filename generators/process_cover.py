@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import has_process_data, request, row, way_to
+from ecatspec.generators.bringup import WATCHDOG, has_process_data, request, row, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
@@ -107,20 +107,22 @@ def _watchdog(model: Model) -> Iterator[Case]:
     yield _case(model, "watchdog_in_safeop", (WriteOutputs(), *expired), "SAFEOP")
     off = WriteRegister("watchdog_process_data", {"time": 0})
     yield _case(model, "watchdog_off", (off, WriteOutputs(), *expired), "OP")
-    reset = model.protocol.registers["watchdog_process_data"].reset
-    longer = WriteRegister("watchdog_process_data", {"time": 4 * reset})
-    for what, patience in (("still_waits", 2 * time), ("expires", 5 * time)):
-        done = (longer, WriteOutputs(), StopOutputs(), Wait(patience))
-        yield _case(model, f"longer_watchdog_{what}", done, "OP")
+    longer = WriteRegister("watchdog_process_data", {"time": 2 * WATCHDOG})
+    shorter = WriteRegister("watchdog_process_data", {"time": WATCHDOG // 4})
+    chosen = (
+        ("longer_watchdog_still_waits", longer, time * 3 // 2),
+        ("longer_watchdog_expires", longer, 3 * time),
+        ("shorter_watchdog_expires", shorter, time),
+    )
+    for what, register, patience in chosen:
+        done = (register, WriteOutputs(), StopOutputs(), Wait(patience))
+        yield _case(model, what, done, "OP")
 
 
 def _watchdog_time(model: Model) -> int:
-    """Give the microseconds of the watchdog with its reset values."""
-    divider, time = (
-        model.protocol.registers[name].reset
-        for name in ("watchdog_divider", "watchdog_process_data")
-    )
-    return (divider + 2) * time // _MICROSECONDS
+    """Give the microseconds of the watchdog as the way up sets it."""
+    divider = model.protocol.registers["watchdog_divider"].reset
+    return (divider + 2) * WATCHDOG // _MICROSECONDS
 
 
 def _to(model: Model, state: str, *, acknowledge: bool = False) -> WriteRegister:

@@ -51,7 +51,7 @@ HELD = ("process_data.fed", "process_data.image")
 _LIMIT = 256
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
-_REMEMBERED = 64
+_REMEMBERED = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +140,7 @@ class Oracle:
     """When the MainDevice last wrote what the device may still be busy with."""
     raised: frozenset[str] = frozenset()
     """Local events (`machine.input`) that befall the device only when they are raised."""
+    _outputs: tuple[Event, ...] = ()
     _known_steps: dict[tuple[int, State], tuple[Event, tuple[Step, ...]]] = field(
         default_factory=dict
     )
@@ -427,7 +428,14 @@ class Oracle:
             raw[address - register.address] = exchange.data[address - exchange.address]
         return int.from_bytes(raw, "little")
 
+    def _concerned(self, name: str, exchange: Exchange) -> bool:
+        """Tell whether an access is one to process data, which nothing but a write moves."""
+        span = exchange.span()
+        return any(self._process_area(c.state, name) == span for c in self.candidates)
+
     def _write_outputs(self, exchange: Exchange) -> Mismatch | None:
+        if not self._concerned(DATA_OUT, exchange):
+            return None
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         refused: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in self._expanded(exchange.time).items():
@@ -447,11 +455,18 @@ class Oracle:
         self.candidates = after
         return None
 
+    def _outputs_of(self, image: bytes) -> tuple[Event, ...]:
+        """Give the inputs that process data are; the same again for the same data."""
+        if not self._outputs or self._outputs[0].parameters[IMAGE] != image:
+            self._outputs = tuple(
+                Event(source.machine, source.input, {IMAGE: image}) for source in self.model.outputs
+            )
+        return self._outputs
+
     def _fed(self, candidate: Candidate, exchange: Exchange) -> Candidate:
         """Give the explanation in which the device has these outputs; they replace older ones."""
-        for source in self.model.outputs:
-            event = Event(source.machine, source.input, {IMAGE: exchange.data})
-            own = (source.machine, source.input)
+        for event in self._outputs_of(exchange.data):
+            own = (event.machine, event.input)
             rest = tuple(p for p in candidate.inbox if p.target() != own)
             steps = self._steps(candidate.state, event)
             within = max(taken.within for taken in steps)
@@ -638,6 +653,8 @@ class Oracle:
         return {view.name: view.present(environment) for view in self.model.views[register.name]}
 
     def _read_inputs(self, exchange: Exchange) -> Mismatch | None:
+        if not self._concerned(DATA_IN, exchange):
+            return None
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         wrong: dict[Candidate, tuple[RuleName, ...]] = {}
         words: dict[str, Word] = {}

@@ -84,6 +84,7 @@ class VirtualSubDevice:
     def reset(self) -> None:
         """Power cycle."""
         self.esc = Esc(self.model)
+        self._shown: State | None = None
         self.state = self._power_on
         self._queue: list[bytes] = []
         self._unread: bytes | None = None
@@ -228,8 +229,11 @@ class VirtualSubDevice:
             self._send(following.outputs)
 
     def _settle(self, state: State) -> None:
-        settled = tuple(None if v is None else concrete(v) for v in state.slots)
-        self.state = State(settled, state.objects)
+        if any(isinstance(value, Pattern) for value in state.slots):
+            settled = tuple(None if v is None else concrete(v) for v in state.slots)
+            state = State(settled, state.objects)
+        if state != self.state:
+            self.state = state
 
     def _alive(self) -> bool:
         alive = self.model.definition("mailbox_alive")
@@ -276,6 +280,9 @@ class VirtualSubDevice:
 
     def _show(self) -> None:
         """Write the inputs and what the registers show, AL Status Code before AL Status."""
+        if self.state is self._shown:
+            return
+        self._shown = self.state
         environment = Environment(self.state.slots, self.state.known(), {})
         self._show_inputs(environment)
         for register, views in self._views:

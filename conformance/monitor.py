@@ -12,6 +12,7 @@ from ecatspec.conformance.devices import load
 from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.fmmu import fmmu_registers
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.oracle import Exchange, Mismatch, Oracle
 from ecatspec.model.words import message_words, register_words
@@ -39,6 +40,7 @@ def wire_format(model: Model) -> WireFormat:
 
     register = model.protocol.registers["station_address"]
     return WireFormat(
+        fmmus=fmmu_registers(model.protocol),
         ethertype=model.parameter("ether_type"),
         vlan_ethertype=model.parameter("vlan_type"),
         vlan_tag_size=_VLAN_TAG,
@@ -75,6 +77,8 @@ class Follower:
     rules: set[RuleName] = field(default_factory=set)
     recent: deque[TraceLine] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     path: list[str] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+    """Why requests were refused, with the frame that showed it."""
     messages: Counter[str] = field(default_factory=Counter)
     exchanges: int = 0
     lost: int = 0
@@ -82,26 +86,31 @@ class Follower:
 
     def follow(self, transaction: Transaction) -> None:
         """Judge one access; after a mismatch go on from what it showed."""
-        if not transaction.confirmed:
-            self.lost += 1
-            if transaction.write:
-                self.oracle.unknown()
-            else:
-                self.oracle.perhaps_read(transaction.address, len(transaction.data))
-            return
-        self.exchanges += 1
-        moment = round(transaction.time * _MICROSECONDS)
         exchange = Exchange(
-            moment,
+            round(transaction.time * _MICROSECONDS),
             transaction.write,
             transaction.address,
             transaction.data,
             transaction.working_counter if transaction.done else 0,
             f"frame {transaction.frame}",
         )
+        if not transaction.confirmed:
+            self.lost += 1
+            if transaction.write:
+                self.oracle.perhaps_written(exchange)
+            else:
+                self.oracle.perhaps_read(transaction.address, len(transaction.data))
+            return
+        self.exchanges += 1
         self._remember(exchange)
+        told = self.oracle.reasons()
         mismatch = self.oracle.observe(exchange)
         self.rules |= self.oracle.certain_rules()
+        reasons = self.oracle.reasons() if mismatch is None else mismatch.reasons
+        for reason in reasons:
+            if reason not in told:
+                self.reasons.append(f"{reason} ({exchange.reference})")
+                self.recent.append(TraceLine(exchange.time, "reason", reason))
         if mismatch is not None:
             self.verdicts.append(self._verdict(mismatch))
             self.oracle.unknown(keep=True)
@@ -217,7 +226,14 @@ def _result(
     states = "AL: " + " -> ".join(follower.path)
     messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
     lost = f"{follower.lost} accesses whose return was not captured" if follower.lost else ""
-    shown = (f"{follower.exchanges} exchanges", states, f"mailbox: {messages or 'nothing'}", lost)
+    refused = [f"refused: {reason}" for reason in dict.fromkeys(follower.reasons)]
+    shown = (
+        f"{follower.exchanges} exchanges",
+        states,
+        f"mailbox: {messages or 'nothing'}",
+        *refused,
+        lost,
+    )
     return Result(
         model.protocol.name,
         f"{name} in {path.name}",

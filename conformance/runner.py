@@ -206,7 +206,10 @@ class Runner:
             mismatch.observed,
             mismatch.clauses,
             tuple(dict.fromkeys(claim for clause in cited for claim in clause.claims)),
-            tuple(self.session.trace),
+            (
+                *self.session.trace,
+                *(TraceLine(self.session.time, "reason", text) for text in mismatch.reasons),
+            ),
             f"{self.session.time / 1000:.1f} ms",
             mismatch.signature,
         )

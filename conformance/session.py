@@ -301,7 +301,12 @@ class Session:
                     for view in self.model.views[name]
                 }
                 self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
+        told = self.oracle.reasons()
         self._observe(self._exchange(register.address, data, counter))
+        if name == "al_status":
+            for reason in self.oracle.reasons():
+                if reason not in told:
+                    self._say("reason", reason)
         return raw if counter else 0
 
     def _write(self, address: int, data: bytes) -> int:

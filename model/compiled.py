@@ -121,6 +121,15 @@ class Later:
 
 
 @dataclass(frozen=True, slots=True)
+class CompiledReason:
+    """Why a rule refuses: when it holds, and its words with places for values."""
+
+    wording: str
+    guard: Getter
+    values: tuple[Getter, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class View:
     """One field of a register or a word as the MainDevice reads it."""
 
@@ -183,6 +192,8 @@ class Model:
             )
             for word in protocol.words
         }
+        self.worded = frozenset(m for pairs in self.word_inputs.values() for m, _ in pairs)
+        """The machines that words move."""
         self.words: dict[ObjectKey, Word] = {
             word.key: word
             for word in protocol.words.values()
@@ -200,6 +211,17 @@ class Model:
         for key, word in self.words.items():
             if self.views[word.name]:
                 self.dictionary.shown[key] = self._reads(word)
+        self.reasons: dict[RuleName, list[CompiledReason]] = {}
+        """Why rules refuse, by rule."""
+        for reason in protocol.reasons.values():
+            scope = Scope(reason.machine)
+            self.reasons.setdefault(RuleName(reason.machine, reason.rule), []).append(
+                CompiledReason(
+                    reason.wording,
+                    self.expression(reason.guard, scope, None),
+                    tuple(self.expression(value, scope, None) for value in reason.values),
+                )
+            )
         self.replies = {name: self._reply_fields(name) for name in protocol.frames}
 
     def _events(self, kind: str) -> tuple[Event, ...]:

@@ -60,6 +60,9 @@ def _joined(first: Step, then: Step) -> Step:
 def _fire(model: Model, state: State, event: Event) -> list[tuple[Step, tuple[Event, ...]]]:
     environment = Environment(state.slots, state.known(), event.parameters)
     current = state.slots[model.slots[f"{event.machine}.state"]]
+    if isinstance(current, Pattern):
+        # whatever it does, its state is no better known than before
+        return [(Step(_forget(model, state, event.machine), (), (), 0), ())]
     enabled: list[CompiledRule] = []
     undecided: set[str] = set()
     for rule in model.rules[event.machine, event.input]:

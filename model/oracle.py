@@ -29,7 +29,7 @@ from ecatspec.model.process_image import INPUTS
 from ecatspec.model.process_image import taken as bits_of
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, is_any
-from ecatspec.model.words import fields_words, message_words, register_words
+from ecatspec.model.words import fields_words, message_words, reason_words, register_words
 from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
 from ecatspec.spec.language.scope import IMAGE, Scope, StateRef, VariableRef, names_in, resolve
 
@@ -127,6 +127,8 @@ class Mismatch:
     rules: tuple[RuleName, ...]
     clauses: tuple[str, ...]
     signature: str
+    reasons: tuple[str, ...] = ()
+    """Why the device had to refuse, where it had to."""
 
 
 @dataclass(slots=True)
@@ -180,10 +182,15 @@ class Oracle:
         states = [base]
         for machine in self.model.protocol.machines:
             slot = self.model.slots[f"{machine}.state"]
+            if machine in self.model.worded:
+                # it takes a look at its words to know
+                states = [state.having(slot, UNKNOWN) for state in states]
+                continue
             values = self.model.state_names(machine)
             states = [state.having(slot, value) for state in states for value in values]
-            states = [state for state in states if not self.model.broken(state)]
-        self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
+        self.candidates = {
+            Candidate(state, loose=Loose.ALL): () for state in states if not self.model.broken(state)
+        }
 
     # --- one exchange -----------------------------------------------------------------------------
 
@@ -257,6 +264,24 @@ class Oracle:
             for candidate, history in self._expanded(time).items()
         }
 
+    def reasons(self) -> tuple[str, ...]:
+        """Give why the device refused what it was asked last, as far as all explanations agree."""
+        return self._reasons(self.candidates)
+
+    def _reasons(self, candidates: dict[Candidate, tuple[RuleName, ...]]) -> tuple[str, ...]:
+        told = [self._reasons_of(state.state, rules) for state, rules in candidates.items()]
+        return tuple(text for text in told[0] if all(text in texts for texts in told))
+
+    def _reasons_of(self, state: State, history: tuple[RuleName, ...]) -> list[str]:
+        environment = Environment(state.slots, state.known(), {})
+        last = {rule.machine: rule for rule in history}
+        return [
+            reason_words(reason.wording, [value(environment) for value in reason.values])
+            for rule in last.values()
+            for reason in self.model.reasons.get(rule, ())
+            if reason.guard(environment) is True
+        ]
+
     def example(self) -> State:
         """Give one state that the device may be in."""
         return next(iter(self.candidates)).state
@@ -296,6 +321,15 @@ class Oracle:
                 for taken in afterwards(self.model, candidate.state, due, {}):
                     left = replace(self._left(candidate, taken, tuple(rest), 0), last=None)
                     self.candidates.setdefault(left, history + taken.rules)
+
+    def perhaps_written(self, exchange: Exchange) -> None:
+        """Take it that the MainDevice may have written here; but for outputs nothing is known."""
+        if not self._concerned(DATA_OUT, exchange):
+            self.unknown()
+            return
+        for candidate, history in self._expanded(exchange.time).items():
+            self.candidates.setdefault(candidate, history)
+            self._add(self.candidates, self._fed(candidate, exchange), history)
 
     def forget_history(self) -> None:
         """Keep only the last rule of each machine in each history, for runs without end."""
@@ -628,16 +662,12 @@ class Oracle:
             register.name,
             {v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views},
         )
-        machines = {
-            path.partition(".")[0]
-            for view in views
-            for path in self._names(view.expression)
-            if path.partition(".")[0] in self.model.protocol.machines
-        }
-        rules = _last(before, machines)
-        return self._mismatch(
+        rules = _last(before, self._machines_of(register.name))
+        refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
+        found = self._mismatch(
             exchange, register.name, tuple(expected), observed, rules, register.clauses
         )
+        return replace(found, reasons=self._reasons(refused) if refused else ())
 
     def _names(self, expression: Expression) -> Iterator[str]:
         """Give the names of an expression and of the definitions that it uses."""
@@ -662,9 +692,10 @@ class Oracle:
             if self._process_area(candidate.state, DATA_IN) != exchange.span():
                 after[candidate] = history
             elif exchange.working_counter:
-                odd = self._odd_words(candidate.state, exchange.data)
-                (wrong if odd else after)[candidate] = history
-                words |= odd
+                for state in self._decided(candidate.state, exchange.data):
+                    odd = self._odd_words(state, exchange.data)
+                    (wrong if odd else after)[replace(candidate, state=state)] = history
+                    words |= odd
             else:
                 demanded = self._demanded(candidate, "inputs_demanded")
                 (wrong if demanded else after)[candidate] = history
@@ -684,16 +715,26 @@ class Oracle:
         )
         observed = "; ".join(said for name, said in self.words_in(exchange.data) if name in words)
         clauses = tuple(clause for word in words.values() for clause in word.clauses)
-        machines = {
-            path.partition(".")[0]
-            for name in words
-            for view in self.model.views[name]
-            for path in self._names(view.expression)
-        }
-        rules = _last(wrong, machines & set(self.model.protocol.machines))
+        rules = _last(wrong, {machine for name in words for machine in self._machines_of(name)})
         return self._mismatch(
             exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
         )
+
+    def _decided(self, state: State, image: bytes) -> list[State]:
+        """Give the states that one stands for in which machines are not known that words show."""
+        states = [state]
+        for name, _ in self.words_in(image):
+            for machine in self._machines_of(name):
+                slot = self.model.slots[f"{machine}.state"]
+                if isinstance(state.slots[slot], Pattern):
+                    values = self.model.state_names(machine)
+                    states = [each.having(slot, value) for each in states for value in values]
+        return states
+
+    def _machines_of(self, name: str) -> set[str]:
+        """Give the machines of which a register or a word shows something."""
+        paths = (p for view in self.model.views[name] for p in self._names(view.expression))
+        return {path.partition(".")[0] for path in paths} & set(self.model.protocol.machines)
 
     def _odd_words(self, state: State, image: bytes) -> dict[str, Word]:
         """Give the words in the inputs that are not what the state shows."""

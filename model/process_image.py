@@ -55,6 +55,7 @@ class ProcessImage:
             "is_mapping": lambda _, a: self._direction(a[0]) is not None,
             "can_hold": lambda _, a: self._can_hold(a[0], a[1], a[2]),
             "holds": self._all_hold,
+            "repeated": self._repeated,
             "pdo_bits": self._pdo_bits,
         }
 
@@ -144,6 +145,13 @@ class ProcessImage:
         if any(mapped.key == arguments[1:] for mapped in layout):
             return True
         return UNKNOWN if any(mapped.key is None for mapped in layout) else False
+
+    def _repeated(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        layout = self.layout(environment, self._name(arguments[0]))
+        if layout is None:
+            return UNKNOWN
+        keys = [mapped.key for mapped in layout if mapped.key is not None]
+        return len(keys) != len(set(keys))
 
     def _direction(self, pdo: Value) -> str | None:
         """Give the assignment that PDOs of this index belong to; None for another object."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from ecatspec.model.values import Pattern, Value
 from ecatspec.spec.language.ir import Bool, Named, SInt, Type, UInt
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
@@ -80,6 +81,24 @@ def register_words(model: Model, name: str, fields: Mapping[str, Value]) -> str:
     types = {field.name: field.type for field in holder.fields}
     words = ", ".join(f"{n} {typed_words(model, types[n], v)}" for n, v in fields.items())
     return f"{name}: {words}"
+
+
+def reason_words(wording: str, values: Sequence[Value]) -> str:
+    """Say a reason: `{}` a number, `{hex}` one in hexadecimal, `{words}` numbers of two bytes."""
+    left = iter(values)
+
+    def said(match: re.Match[str]) -> str:
+        value = next(left)
+        if isinstance(value, Pattern):
+            return "unknown"
+        if isinstance(value, bytes):
+            pairs = (value[n : n + 2] for n in range(0, len(value), 2))
+            return ", ".join(f"0x{int.from_bytes(pair, 'little'):04X}" for pair in pairs) or "none"
+        if match.group(1) == "hex" and isinstance(value, int):
+            return f"0x{value:04X}"
+        return str(value)
+
+    return re.sub(r"\{(|hex|words)\}", said, wording)
 
 
 def message_words(model: Model, message: Message) -> str:

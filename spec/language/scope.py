@@ -258,6 +258,9 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
         (_INDEX,), UInt(32), "bytes of the process data that an assignment object assigns"
     ),
     "pdo_bits": FunctionSignature(_ENTRY, UInt(32), "bits of the first so many entries of a PDO"),
+    "repeated": FunctionSignature(
+        (_INDEX,), Bool(), "the PDOs of the assignment map an entry more than once"
+    ),
     "has_value": FunctionSignature((*_ENTRY, _DATA), Bool(), "the entry has this value already"),
     "holds": FunctionSignature(_ENTRY, Bool(), "so many entries of the object are possible"),
     "bit": FunctionSignature((_COUNT, UInt(8)), Bool(), "this bit of the number is set"),

@@ -30,10 +30,12 @@ from ecatspec.spec.language.pretty import pretty_expression, pretty_type
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from ecatspec.model.process_image import ProcessImage
     from ecatspec.spec.language.ir import (
         CodeTable,
         Expression,
         Give,
+        Later,
         Machine,
         ObjectEntry,
         Parameter,
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
         Range,
         Register,
         Rule,
+        Word,
     )
 
 SUFFIX = ".ecs"
@@ -154,6 +157,8 @@ def sheets(protocol: Protocol) -> tuple[Sheet, ...]:
         _properties(protocol),
         *tables,
         _objects(protocol),
+        _words(protocol),
+        _process_data(protocol),
         _changes(protocol),
         _anomalies(protocol),
         _examples(protocol),
@@ -225,8 +230,11 @@ def _rule(rule: Rule) -> tuple[Cell, ...]:
         place = f"{pretty_expression(store.index)} : {pretty_expression(store.subindex)}"
         word = "store complete" if store.complete else "store"
         effects.append(f"{word} {place} = {pretty_expression(store.value)}")
+    if rule.take is not None:
+        effects.append(f"take {pretty_expression(rule.take)}")
     effects += [f"send {send.frame}({_bindings(send.fields)})" for send in rule.sends]
     effects += [_gift(give) for give in rule.gives]
+    effects += [_later(later) for later in rule.laters]
     if rule.within is not None:
         effects.append(f"within {pretty_expression(rule.within)}")
     if rule.after is not None:
@@ -242,6 +250,12 @@ def _gift(give: Give) -> str:
         return give.target
     arguments = f"({_bindings(give.arguments)})" if give.arguments else ""
     return f"give {give.target}{arguments}"
+
+
+def _later(later: Later) -> str:
+    arguments = f"({_bindings(later.arguments)})" if later.arguments else ""
+    after = "" if later.after is None else f" after {pretty_expression(later.after)}"
+    return f"later {later.target}{arguments}{after} within {pretty_expression(later.within)}"
 
 
 def _names(expression: Expression | Range, protocol: Protocol) -> Iterator[str]:
@@ -304,7 +318,7 @@ def _address(value: int) -> str:
     return _hex(value, 16)
 
 
-def _bits(register: Register) -> tuple[str, ...]:
+def _bits(register: Register | Word) -> tuple[str, ...]:
     return tuple(
         f"{field.name} {field.low}" + ("" if field.low == field.high else f"..{field.high}")
         for field in register.fields
@@ -425,6 +439,54 @@ def _objects(protocol: Protocol) -> Sheet:
     others = "there are no others" if protocol.dictionary.closed else "there may be others"
     columns = ("object", "name", "type", "access", "states", "range", "default", "clauses")
     return Sheet("objects", f"objects ({others})", columns, rows)
+
+
+def _words(protocol: Protocol) -> Sheet:
+    entries = {(entry.index, entry.subindex) for entry in protocol.objects}
+    rows = tuple(
+        (
+            f"{_address(word.key[0])}:{_hex(word.key[1], 8)[2:]}",
+            word.name,
+            _bits(word),
+            tuple(field.name for field in word.fields if field.shows is not None),
+            word.clauses,
+        )
+        for word in protocol.words.values()
+        if word.key in entries and word.key is not None
+    )
+    columns = ("object", "name", "bits", "judged", "clauses")
+    return Sheet("words", "bits of objects", columns, rows)
+
+
+def _process_data(protocol: Protocol) -> Sheet:
+    """Give the PDOs with what they map by default."""
+    image = Model(protocol).image
+    entries: dict[int, list[ObjectEntry]] = {}
+    for entry in protocol.objects:
+        if entry.subindex:
+            entries.setdefault(entry.index, []).append(entry)
+    rows = []
+    for name, indices in image.pdos.items():
+        for index in indices:
+            held = [_held(image, entry) for entry in entries.get(index, ())]
+            if held:
+                access = {entry.access.value for entry in entries[index]}
+                kind = "can be mapped" if "rw" in access else "fixed"
+                direction = name.partition("_")[0]
+                rows.append((_address(index), direction, kind, tuple(filter(None, held))))
+    return Sheet(
+        "pdos", "process data objects", ("PDO", "direction", "mapping", "entries"), tuple(rows)
+    )
+
+
+def _held(image: ProcessImage, entry: ObjectEntry) -> str:
+    if entry.maps is not None:
+        return f"{entry.maps} bits"
+    if not isinstance(entry.default, int) or not entry.default:
+        return ""
+    key, bits = image.target(entry.default)
+    place = "gap" if key is None else f"{_address(key[0])}:{_hex(key[1], 8)[2:]}"
+    return f"{place} {bits} bits"
 
 
 def _changes(protocol: Protocol) -> Sheet:

@@ -109,7 +109,7 @@ class Runner:
         self.rules |= oracle.certain_rules()
         self.choices |= oracle.choices()
         if surprises := oracle.surprises():
-            reason = f"{', '.join(surprises)} befell the device while it was tested"
+            reason = f"{' or '.join(surprises)} befell the device while it was tested"
             return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
         return Verdict(case.name, Outcome.PASS, case.title)
 

@@ -32,8 +32,11 @@ def configuration_cover(model: Model, _: Limits) -> Iterator[Case]:
         if (index, 0) in model.dictionary.entries:
             yield from _assignments(model, name, index)
     for name in (OUTPUTS, INPUTS):
+        free = 0
         for pdo in _pdos(model, name):
-            yield from _mappings(model, name, pdo)
+            fixed = model.dictionary.entries[pdo, 0].access is Access.READ
+            yield from _fixed(model, pdo) if fixed else _mappings(model, name, pdo, every=not free)
+            free += not fixed
 
 
 # --- assignment -----------------------------------------------------------------------------------
@@ -86,18 +89,18 @@ def _up(model: Model) -> tuple[Stimulus, ...]:
 # --- mapping --------------------------------------------------------------------------------------
 
 
-def _mappings(model: Model, name: str, pdo: int) -> Iterator[Case]:
-    entries = model.dictionary.entries
+def _fixed(model: Model, pdo: int) -> Iterator[Case]:
+    yield _case(model, f"fixed/{pdo:04X}", (_set(model, pdo, 0, 0), _ask(pdo, 0)))
+
+
+def _mappings(model: Model, name: str, pdo: int, *, every: bool) -> Iterator[Case]:
+    """Yield the cases of one PDO that can be mapped, with `every` object or the first alone."""
     key = f"{pdo:04X}"
-    if entries[pdo, 0].access is Access.READ:
-        zero = _set(model, pdo, 0, 0)
-        yield _case(model, f"fixed/{key}", (zero, _ask(pdo, 0)))
-        return
     index = model.image.assignments[name]
     most = model.dictionary.highest(pdo)
     free = (_set(model, index, 0, 0), _set(model, pdo, 0, 0))
     good = [_entry_of(model, held) for held in _mappable(model, name)]
-    for number, value in enumerate(good):
+    for number, value in enumerate(good if every else good[:1]):
         way = (*free, _set(model, pdo, 1, value), _set(model, pdo, 0, 1))
         done = (*way, _set(model, index, 1, pdo), _set(model, index, 0, 1), *_up(model))
         yield _case(model, f"map_{number}/{key}", done)
@@ -153,16 +156,15 @@ def _too_much(model: Model, good: list[int], most: int) -> list[int]:
 
 
 def _pdos(model: Model, name: str) -> list[int]:
-    first, count = model.span("rx_pdos" if name == OUTPUTS else "tx_pdos")
-    indices = {index for index, _ in model.dictionary.entries}
-    return sorted(index for index in indices if first <= index < first + count)
+    return sorted(
+        {index for index, _ in model.dictionary.entries if index in model.image.pdos[name]}
+    )
 
 
 def _free(model: Model, name: str) -> int:
     """Give an index of PDOs of this direction under which no text declares one."""
-    first, count = model.span("rx_pdos" if name == OUTPUTS else "tx_pdos")
     taken = set(_pdos(model, name))
-    return next(index for index in reversed(range(first, first + count)) if index not in taken)
+    return next(index for index in reversed(model.image.pdos[name]) if index not in taken)
 
 
 def _mappable(model: Model, name: str) -> list[ObjectKey]:

@@ -157,7 +157,7 @@ class Model:
         self.assuming = assuming
         self.codec = Codec(protocol)
         self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
-        self.image = ProcessImage(protocol, self.dictionary, self.span)
+        self.image = ProcessImage(protocol, self.dictionary, self.parameter)
         self._functions = PLAIN | self.dictionary.functions | self.image.functions
         self.slots: dict[str, int] = {}
         self._definitions: dict[str, Getter] = {}
@@ -236,10 +236,6 @@ class Model:
         """Give the parameters of an input with their types."""
         inputs = self.protocol.machines[event.machine].inputs
         return next(i.parameters for i in inputs if i.name == event.input)
-
-    def span(self, area: str) -> tuple[int, int]:
-        """Give start and length of an area, which is a parameter."""
-        return self.parameter(area, "start"), self.parameter(area, "length")
 
     # --- names of slots ---------------------------------------------------------------------------
 

@@ -189,7 +189,9 @@ class Oracle:
             values = self.model.state_names(machine)
             states = [state.having(slot, value) for state in states for value in values]
         self.candidates = {
-            Candidate(state, loose=Loose.ALL): () for state in states if not self.model.broken(state)
+            Candidate(state, loose=Loose.ALL): ()
+            for state in states
+            if not self.model.broken(state)
         }
 
     # --- one exchange -----------------------------------------------------------------------------
@@ -304,9 +306,10 @@ class Oracle:
                 yield word.name, register_words(self.model, word.name, shown)
 
     def surprises(self) -> tuple[str, ...]:
-        """Give what befell the device by itself, as far as every explanation needs it."""
-        befell = [set(candidate.befell) for candidate in self.candidates]
-        return tuple(sorted(set.intersection(*befell))) if befell else ()
+        """Give what may have befallen the device by itself; nothing: it may be none of it."""
+        if not all(candidate.befell for candidate in self.candidates):
+            return ()
+        return tuple(sorted({name for candidate in self.candidates for name in candidate.befell}))
 
     def perhaps_read(self, address: int, length: int) -> None:
         """Take it that the MainDevice may have read here: a reply may be gone."""

@@ -38,11 +38,14 @@ class ProcessImage:
         self,
         protocol: Protocol,
         dictionary: ObjectDictionary,
-        area: Callable[[str], tuple[int, int]],
+        parameter: Callable[[str], int],
     ) -> None:
-        """Take the assignment words; `area` gives the index ranges `rx_pdos` and `tx_pdos`."""
+        """Take the assignment words and the parameters that say which indices are PDOs."""
         self._dictionary = dictionary
-        self._area = area
+        count = parameter("pdos_a_direction")
+        firsts = {OUTPUTS: parameter("first_rx_pdo"), INPUTS: parameter("first_tx_pdo")}
+        self.pdos = {name: range(first, first + count) for name, first in firsts.items()}
+        """The indices that PDOs of an assignment have."""
         keys = {name: protocol.words[name].key for name in (OUTPUTS, INPUTS)}
         self.assignments = {name: key[0] for name, key in keys.items() if key is not None}
         self._fields = {f.name: (f.low, f.high) for f in protocol.words[_ENTRY].fields}
@@ -111,11 +114,12 @@ class ProcessImage:
             yield None, None
         for subindex, value in self._numbers(environment, pdo):
             if value is not None:
-                yield self._target(value)
+                yield self.target(value)
             else:
                 yield None, self._dictionary.entries[pdo, subindex].maps
 
-    def _target(self, value: int) -> tuple[ObjectKey | None, int]:
+    def target(self, value: int) -> tuple[ObjectKey | None, int]:
+        """Give the entry that a mapping entry names (None: a gap), and its bits."""
         part = {
             name: value >> low & ((1 << (high - low + 1)) - 1)
             for name, (low, high) in self._fields.items()
@@ -155,12 +159,7 @@ class ProcessImage:
 
     def _direction(self, pdo: Value) -> str | None:
         """Give the assignment that PDOs of this index belong to; None for another object."""
-        if isinstance(pdo, int):
-            for name, area in ((OUTPUTS, "rx_pdos"), (INPUTS, "tx_pdos")):
-                first, count = self._area(area)
-                if first <= pdo < first + count:
-                    return name
-        return None
+        return next((name for name, indices in self.pdos.items() if pdo in indices), None)
 
     def _can_hold(self, index: Value, subindex: Value, value: Value) -> Value:
         if not isinstance(value, bytes) or not isinstance(index, int) or subindex == 0:
@@ -176,7 +175,7 @@ class ProcessImage:
         return self._exists((number, 0))
 
     def _can_map(self, direction: str, number: int) -> Value:
-        key, bits = self._target(number)
+        key, bits = self.target(number)
         if key is None:
             return True  # a gap
         entry = self._dictionary.entries.get(key)
@@ -216,7 +215,7 @@ class ProcessImage:
             held = self._dictionary.known(environment, (index, subindex))
             if held is None:
                 return UNKNOWN
-            total += self._target(int.from_bytes(held, "little"))[1]
+            total += self.target(int.from_bytes(held, "little"))[1]
         return total
 
 

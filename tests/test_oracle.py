@@ -747,16 +747,16 @@ class Busy(VirtualSubDevice):
     """It answers what comes too early at once: error 9, service in work."""
     before = after = 0
     """How many emergencies come before and after each answer."""
-    _clock = 0.0
+    _now = 0.0
     _came: float | None = None
     _due: tuple[float, ...] = ()
 
     def reset(self) -> None:
-        self._clock, self._came, self._due = 0.0, None, ()
+        self._now, self._came, self._due = 0.0, None, ()
         super().reset()
 
     def advance(self, seconds: float) -> None:
-        self._clock += seconds
+        self._now += seconds
         super().advance(seconds)
 
     def _serve_mailbox(self) -> None:
@@ -767,15 +767,15 @@ class Busy(VirtualSubDevice):
         if len(self._due) > len(self._queue):  # the mailbox was started anew
             self._due = self._due[len(self._due) - len(self._queue) :]
         if inbox.full and self._came is None:
-            self._came = self._clock
+            self._came = self._now
         crowded = outbox.full or bool(self._queue)
-        ready = self._came is not None and self._clock >= self._came + self.take
+        ready = self._came is not None and self._now >= self._came + self.take
         if inbox.full and ready and (self.eager or self.refuses or not crowded):
             message = self.model.decode(self.esc.pdi_read(inbox.start, inbox.length))
             self._came = None
             if message is not None:
                 self._served_one(message, crowded=crowded)
-        if self._queue and not outbox.full and self._clock >= self._due[0]:
+        if self._queue and not outbox.full and self._now >= self._due[0]:
             self._due = self._due[1:]
             self._unread = self._queue.pop(0)
             self.esc.pdi_write(outbox.start, self._unread.ljust(outbox.length, b"\0"))
@@ -789,13 +789,13 @@ class Busy(VirtualSubDevice):
                 detail = row(self.model, "mailbox_error_detail", "service_in_work")
                 fields = self._defaults("mailbox") | {"detail": detail}
                 self._queue.insert(0, self.model.codec.encode("mailbox_error", fields))
-                self._due = (self._clock, *self._due)
+                self._due = (self._now, *self._due)
             return
         self._storm(self.before)
         self._run(self.model.mail(message, crowded=crowded), message)
         self._storm(self.after)
         late = len(self._queue) - len(self._due)
-        self._due += (self._clock + self.answer,) * late
+        self._due += (self._now + self.answer,) * late
 
     def _storm(self, count: int) -> None:
         fields: dict[str, Value] = {

@@ -1,0 +1,332 @@
+"""The only place for tests of process data and drives, and that no freedom of them is blamed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import combinations
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING
+
+import pytest
+
+from ecatspec.conformance.adapter import AdapterError, Description, raise_local
+from ecatspec.conformance.adapters.model import VirtualAdapter, make
+from ecatspec.conformance.monitor import monitor_file
+from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.generators.bringup import request, row, way_to
+from ecatspec.generators.case import (
+    NO_LIMITS,
+    Case,
+    Happen,
+    SetUpProcessData,
+    StopOutputs,
+    Wait,
+    WriteOutputs,
+    WriteRegister,
+)
+from ecatspec.generators.drive_cover import commands
+from ecatspec.generators.play import play
+from ecatspec.generators.suite import GENERATORS
+from ecatspec.generators.transfers import download, upload
+from ecatspec.model.compiled import Model
+from ecatspec.model.evaluate import Environment
+from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.ir import Pin
+from ecatspec.spec.language.load import load_device
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from ecatspec.generators.case import Stimulus
+    from ecatspec.spec.language.ir import Choice, Condition, Protocol
+
+REFERENCE = load_device("reference-drive")
+UNPINNED = replace(REFERENCE, pins={})
+"""Every choice open, as before a device has shown its ways."""
+MODEL = Model(REFERENCE)
+NEW = ("process", "configuration", "drive")
+EVENTS = frozenset({"ds402.fault", "ds402.fault_gone", "ds402.mains_off", "ds402.mains_on"})
+CAPTURE = Path("/work/shared/captures/soem-sdinfo-akd.pcapng")
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "captures" / CAPTURE.name
+
+
+def word(name: str) -> WriteOutputs:
+    return WriteOutputs({"control_word": commands(MODEL)[name]})
+
+
+def description(protocol: Protocol, *, events: Iterable[str] | None = None) -> Description:
+    """What an adapter tells of a virtual SubDevice; `events` that it can raise, else all."""
+    told = make(protocol.name, {}).describe()
+    return told if events is None else replace(told, locals=frozenset(events))
+
+
+def runner(
+    device: VirtualSubDevice, judge: Protocol = REFERENCE, *, events: Iterable[str] | None = None
+) -> Runner:
+    told = description(REFERENCE, events=events)
+    return Runner(Model(judge), VirtualAdapter(device, told), told)
+
+
+def case(*stimuli: Stimulus, state: str = "OP") -> Case:
+    way = way_to(MODEL, state)
+    return Case("ds402/tried", "tried", "ds402", (*way, *stimuli), state, len(way))
+
+
+@cache
+def cases(device: str) -> tuple[Case, ...]:
+    model = Model(load_device(device))
+    return tuple(c for name in NEW for c in GENERATORS[name](model, NO_LIMITS))
+
+
+# --- the covers -----------------------------------------------------------------------------------
+
+TRANSITIONS = {
+    "reference-drive": [
+        "initialised_1",
+        "shutdown_2",
+        "switch_on_3",
+        "enable_operation_4",
+        "disable_operation_5",
+        "shutdown_6",
+        "disable_voltage_7",
+        "shutdown_8",
+        "disable_voltage_9",
+        "disable_voltage_10",
+        "quick_stop_11",
+        "stopped_12",
+        "disable_voltage_12",
+        "fault_13",
+        "reaction_done_14",
+        "fault_reset_15",
+        "enable_operation_16",
+    ],
+}
+
+
+@pytest.mark.parametrize("device", ["reference-drive", "kollmorgen-akd", "kollmorgen-s300"])
+def test_the_virtual_drive_passes_and_fires_all_transitions(device: str) -> None:
+    protocol = load_device(device)
+    told = description(protocol)
+    run = Runner(Model(protocol), VirtualAdapter(VirtualSubDevice(protocol), told), told)
+    chosen = [c for n, c in enumerate(cases(device)) if n % 3 == 0 or "ds402" in c.name]
+    for each in chosen[:: 1 if device == "reference-drive" else 3]:
+        verdict = run.judge(each)
+        assert verdict.outcome is Outcome.PASS, (each.name, verdict)
+    fired = {rule.name for rule in run.rules if rule.machine == "ds402"}
+    assert set(TRANSITIONS.get(device, [])) <= fired
+
+
+def test_every_drive_state_has_a_status_word_of_its_own() -> None:
+    model = Model(replace(REFERENCE, pins=REFERENCE.pins | {"drive_coupling": decoupled()}))
+    key = REFERENCE.words["status_word"].key
+    assert key is not None
+    slot = model.slots["ds402.state"]
+    found = {}
+    for value, name in model.state_names("ds402").items():
+        state = model.initial.having(slot, value)
+        pattern = model.dictionary.shown[key](Environment(state.slots, state.known(), {}))
+        found[name] = pattern
+    assert len(found) == 8
+    words = range(1 << 7)
+    for one, other in combinations(found.values(), 2):
+        both = [w for w in words if admitted(one, w) and admitted(other, w)]
+        assert not both, (one, other, both)
+
+
+def decoupled() -> Pin:
+    return Pin("drive_coupling", "decoupled", ())
+
+
+def admitted(pattern: object, value: int) -> bool:
+    return bool(pattern.admits(value.to_bytes(2, "little")))  # type: ignore[attr-defined]
+
+
+# --- nobody is wronged ----------------------------------------------------------------------------
+
+CONCERNED = ("DRV", "PD")
+WAYS = [
+    (choice, alternative.name)
+    for choice in REFERENCE.choices.values()
+    for alternative in choice.alternatives
+    if choice.clauses[0].startswith(CONCERNED)
+]
+TRUTHS = [c for c in REFERENCE.conditions.values() if c.clauses[0].startswith(CONCERNED)]
+
+
+def sample(step: int) -> list[Case]:
+    """Every so many of the new cases, which differ from their neighbours in one thing."""
+    return list(cases("reference-drive"))[::step]
+
+
+def blamed(device: VirtualSubDevice, judge: Protocol, tried: Iterable[Case]) -> list[str]:
+    run = runner(device, judge)
+    verdicts = [run.judge(each) for each in tried]
+    return [f"{v.case}: {v.observed} {v.clauses}" for v in verdicts if v.outcome in BLAMING]
+
+
+@pytest.mark.parametrize(("choice", "way"), WAYS, ids=[f"{c.name}-{w}" for c, w in WAYS])
+def test_no_way_at_a_choice_is_blamed(choice: Choice, way: str) -> None:
+    pins = REFERENCE.pins | {choice.name: Pin(choice.name, way, ())}
+    device = VirtualSubDevice(replace(REFERENCE, pins=pins))
+    assert blamed(device, UNPINNED, sample(17)) == []
+
+
+@pytest.mark.parametrize("condition", TRUTHS, ids=lambda c: c.name)
+def test_no_truth_of_a_condition_is_blamed(condition: Condition) -> None:
+    other = replace(condition, assumed=not condition.assumed)
+    conditions = REFERENCE.conditions | {condition.name: other}
+    device = VirtualSubDevice(replace(REFERENCE, conditions=conditions))
+    assert blamed(device, UNPINNED, sample(19)) == []
+
+
+class Tardy(VirtualSubDevice):
+    """A device that looks at its outputs, and does what comes by itself, as late as it may."""
+
+    def __init__(self, protocol: Protocol, seed: int) -> None:
+        self._random = Random(seed)
+        self._ready = 0
+        super().__init__(protocol)
+
+    def reset(self) -> None:
+        self._ready = 0
+        super().reset()
+
+    def _take_outputs(self) -> None:
+        limit = self.model.parameter("outputs_time")
+        if not self._ready:
+            self._ready = self._clock + self._random.randrange(limit)
+        if self._clock >= self._ready:
+            self._ready = 0
+            super()._take_outputs()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drive_that_looks_late_is_not_blamed(seed: int) -> None:
+    assert blamed(Tardy(REFERENCE, seed), UNPINNED, sample(11)) == []
+
+
+def test_what_befalls_a_drive_by_itself_is_not_its_fault() -> None:
+    class Unlucky(VirtualSubDevice):
+        def write(self, address: int, data: bytes) -> int:
+            counter = super().write(address, data)
+            if self.model.state_names("ds402").get(self._drive()) == "OPERATION_ENABLED":
+                self.happen("ds402", "fault", {})
+            return counter
+
+        def _drive(self) -> int:
+            value = self.state.slots[self.model.slots["ds402.state"]]
+            return value if isinstance(value, int) else -1
+
+    way = [word(name) for name in ("shutdown", "switch_on", "enable_operation", "enable_operation")]
+    verdict = runner(Unlucky(REFERENCE), events=()).judge(case(*way, Wait(100_000)))
+    assert verdict.outcome is Outcome.INCONCLUSIVE
+    assert "ds402.fault" in verdict.reason
+    verdict = runner(Unlucky(REFERENCE), events=EVENTS).judge(case(*way, Wait(100_000)))
+    assert verdict.outcome is Outcome.FAIL
+
+
+def test_what_an_adapter_cannot_raise_is_skipped_with_the_reason() -> None:
+    verdict = runner(VirtualSubDevice(REFERENCE), events=()).judge(case(Happen("ds402.fault")))
+    assert verdict.outcome is Outcome.SKIPPED
+    assert "cannot raise ds402.fault" in verdict.reason
+    adapter = VirtualAdapter(VirtualSubDevice(REFERENCE), description(REFERENCE, events=()))
+    with pytest.raises(AdapterError, match="cannot raise"):
+        raise_local(adapter, "ds402.fault")
+
+
+# --- what is said ---------------------------------------------------------------------------------
+
+
+def refused(settings: SetUpProcessData) -> list[str]:
+    safeop = request(row(MODEL, "al_state", "SAFEOP"))
+    run = runner(VirtualSubDevice(REFERENCE))
+    verdict = run.judge(case(settings, safeop, state="PREOP"))
+    assert verdict.outcome is Outcome.PASS
+    return [line.what for line in run.session.trace if line.who == "reason"]
+
+
+def test_a_refusal_is_explained_with_its_values() -> None:
+    assert refused(SetUpProcessData(longer={"sync_manager_2": 11})) == [
+        "SyncManager 2 length 17, assigned PDOs are 6 bytes: 0x1600"
+    ]
+    off = refused(SetUpProcessData({"sync_manager_3_activation": {"enabled": 0}}))
+    assert off[0].startswith("SyncManager 3 is disabled, assigned PDOs are")
+    assert refused(SetUpProcessData()) == []
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="the captures are not beside the project")
+def test_the_refusal_of_a_real_drive_is_explained() -> None:
+    [result] = monitor_file(SHARED, "kollmorgen-akd")
+    told = [note for note in result.notes if note.startswith("refused")]
+    assert told[0].startswith("refused: SyncManager 2 length 17 is that of the assigned PDOs")
+    assert any("more than once" in note for note in told)
+
+
+# --- as a MainDevice with FMMUs sees it -----------------------------------------------------------
+
+
+def fmmu(number: int, logical: int, area: str, length: int, *, write: bool) -> WriteRegister:
+    start = MODEL.parameter(area, "start")
+    fields = {
+        "logical_start": logical,
+        "length": length,
+        "last_bit": 7,
+        "start": start,
+        "read": int(not write),
+        "write": int(write),
+        "enabled": 1,
+    }
+    return WriteRegister(f"fmmu_{number}", fields)
+
+
+def test_a_drive_is_enabled_through_logical_addresses() -> None:
+    device = VirtualSubDevice(REFERENCE)
+    play(MODEL, device, way_to(MODEL, "SAFEOP"))
+    sizes = [device.esc.process_channel(name) for name in ("sync_manager_2", "sync_manager_3")]
+    outputs, inputs = (channel.length for channel in sizes if channel is not None)
+    base = 0x10000
+    play(
+        MODEL,
+        device,
+        (
+            fmmu(0, base, "process_data_out", outputs, write=True),
+            fmmu(1, base + outputs, "process_data_in", inputs, write=False),
+        ),
+    )
+
+    def cycle(control: int) -> int:
+        data = control.to_bytes(outputs, "little") + bytes(inputs)
+        counter, back = device.logical("LRW", base, data)
+        assert counter == 3
+        device.advance(0.001)
+        return int.from_bytes(back[outputs : outputs + 2], "little")
+
+    cycle(0)
+    play(MODEL, device, (request(row(MODEL, "al_state", "OP")),))
+    known = commands(MODEL)
+    for name in ("shutdown", "switch_on", "enable_operation", "enable_operation"):
+        cycle(known[name])
+    assert cycle(known["enable_operation"]) & 0x6F == 0x27
+    assert device.logical("LRD", base + outputs, bytes(inputs))[0] == 1
+    assert device.logical("LRD", base + 100, b"\0")[0] == 0
+
+
+# --- the order of things --------------------------------------------------------------------------
+
+
+def test_the_watchdog_takes_op_away_only_in_its_time() -> None:
+    run = runner(VirtualSubDevice(REFERENCE))
+    assert run.judge(case(StopOutputs(), Wait(1_900_000))).outcome is Outcome.PASS
+    assert run.session.oracle.al_states() == {"OP"}
+    assert run.judge(case(StopOutputs(), Wait(2_500_000))).outcome is Outcome.PASS
+    assert run.session.oracle.al_states() == {"SAFEOP"}
+
+
+def test_a_write_of_the_assignment_is_learned_and_forgotten() -> None:
+    run = runner(VirtualSubDevice(REFERENCE))
+    clear = download(0x1C12, 0, b"\0")
+    assert run.judge(case(clear, upload(0x1C12, 0), state="PREOP")).outcome is Outcome.PASS
+    assert run.judge(case(state="OP")).outcome is Outcome.PASS

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ecatspec.model.state import RuleName
 
 _MICROSECONDS = 1_000_000
-_REMEMBERED = 6
+_REMEMBERED = 12
 _ETHERNET_ADDRESS = 6
 _VLAN_TAG = 4
 

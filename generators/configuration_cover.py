@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from ecatspec.model.compiled import Model
     from ecatspec.model.values import ObjectKey
 
-_NOWHERE = 0x5FFF
-"""An index that no profile uses."""
-
 
 def configuration_cover(model: Model, _: Limits) -> Iterator[Case]:
     """Yield the cases of a device whose texts declare what assigns its process data."""
@@ -58,7 +55,7 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     most = model.dictionary.highest(index)
     for count in (most + 1, 0xFF):
         yield _case(model, f"count_{count}/{key}", (clear, first, _set(model, index, 0, count)))
-    strange = {"undeclared": _NOWHERE, "free": _free(model, name)}
+    strange = {"undeclared": _nowhere(model), "free": _free(model, name)}
     if other:
         strange["other_direction"] = other[0]
     for what, pdo in strange.items():
@@ -125,7 +122,7 @@ def _mappings(model: Model, name: str, pdo: int, *, every: bool) -> Iterator[Cas
 def _unmappable(model: Model, name: str, good: int) -> dict[str, int]:
     """Give mapping entries that no device can hold."""
     found = {
-        "nothing": _value(model, (_NOWHERE, 0), 16),
+        "nothing": _value(model, (_nowhere(model), 0), 16),
         "more_bits": good + 8,
     }
     wrong = Access.READ if name == OUTPUTS else Access.WRITE
@@ -165,6 +162,12 @@ def _free(model: Model, name: str) -> int:
     """Give an index of PDOs of this direction under which no text declares one."""
     taken = set(_pdos(model, name))
     return next(index for index in reversed(model.image.pdos[name]) if index not in taken)
+
+
+def _nowhere(model: Model) -> int:
+    """Give the highest index under which no text declares an object."""
+    indices = {index for index, _ in model.dictionary.entries}
+    return next(index for index in reversed(range(1 << 16)) if index not in indices)
 
 
 def _mappable(model: Model, name: str) -> list[ObjectKey]:

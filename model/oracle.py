@@ -82,6 +82,8 @@ class Pending:
     within: int = 0
     since: int = 0
     timer: bool = False
+    optional: bool = False
+    """It may have been served already, when too much was possible to follow."""
 
     def target(self) -> tuple[str, str]:
         """Give the machine and the input."""
@@ -143,6 +145,8 @@ class Oracle:
     raised: frozenset[str] = frozenset()
     """Local events (`machine.input`) that befall the device only when they are raised."""
     _outputs: tuple[Event, ...] = ()
+    _suspicion: Mismatch | None = None
+    """The first observation that only an accident explains."""
     _known_steps: dict[tuple[int, State], tuple[Event, tuple[Step, ...]]] = field(
         default_factory=dict
     )
@@ -164,6 +168,7 @@ class Oracle:
         for name, alternative in (choices or {}).items():
             state = state.having(self.model.slots[f"choice {name}"], alternative)
         self.candidates = {Candidate(state): ()}
+        self._suspicion = None
         self.unspecified = False
         self.written = 0
 
@@ -227,6 +232,7 @@ class Oracle:
             pending
             for pending in candidate.inbox
             if pending.since <= time
+            and not pending.optional
             and not (
                 pending.timer
                 and all(
@@ -600,13 +606,18 @@ class Oracle:
 
     def _read(self, exchange: Exchange) -> Mismatch | None:
         mismatch = self._judge(exchange)
+        if mismatch is None:
+            return None
         kept = self.candidates
-        for _ in range(_SURPRISES if mismatch is not None else 0):
+        for _ in range(_SURPRISES):
             self.candidates = self._befallen(exchange.time)
             if self._judge(exchange) is None:
+                if self.surprises():
+                    self._suspicion = self._suspicion or mismatch
                 return None
         self.candidates = kept
-        return mismatch
+        # what was taken for an accident at first was the deviation
+        return self._suspicion if self._suspicion and self.surprises() else mismatch
 
     def _befallen(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
         """Give the explanations in which something happened by itself, and those before."""
@@ -936,13 +947,27 @@ class Oracle:
         while work:
             if len(found) > _LIMIT:
                 # too many explanations to follow: nothing is known, so nobody is blamed
+                inputs = {
+                    (*pending.target(), pending.deadline): replace(pending, optional=True)
+                    for candidate in self.candidates
+                    for pending in candidate.inbox
+                }
                 self.unknown(keep=True)
+                self.candidates = {
+                    replace(candidate, inbox=tuple(inputs.values())): ()
+                    for candidate in self.candidates
+                }
                 return dict(self.candidates)
             candidate, history = work.pop()
+            if any(p.optional and p.deadline < time for p in candidate.inbox):
+                late = tuple(p for p in candidate.inbox if not p.optional or p.deadline >= time)
+                candidate = replace(candidate, inbox=late)
             if candidate in found:
                 continue
             if not any(
-                pending.deadline < time and not (candidate.outbox and pending.event.trail)
+                pending.deadline < time
+                and not pending.optional
+                and not (candidate.outbox and pending.event.trail)
                 for pending in candidate.inbox
             ):
                 found[candidate] = history

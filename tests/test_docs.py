@@ -12,7 +12,7 @@ from ecatspec.model.compiled import Model
 from ecatspec.model.functions import PLAIN
 from ecatspec.spec.language.load import load_device, load_file
 from ecatspec.spec.language.pretty import pretty_type
-from ecatspec.spec.language.scope import FUNCTIONS
+from ecatspec.spec.language.scope import EDGES, FUNCTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,8 +32,9 @@ def test_the_page_lists_exactly_the_functions_that_there_are() -> None:
 
 def test_every_function_of_the_language_means_something() -> None:
     standard = load_device("standard")
-    dictionary = Model(standard).dictionary
-    assert set(FUNCTIONS) == set(PLAIN) | set(dictionary.functions)
+    model = Model(standard)
+    own = set(model.dictionary.functions) | set(model.image.functions)
+    assert set(FUNCTIONS) == set(PLAIN) | own | set(EDGES)
 
 
 def samples() -> Iterator[str]:

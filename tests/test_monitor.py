@@ -55,7 +55,7 @@ def test_the_drive_shows_a_code_that_its_manual_does_not_have(drive: Result) -> 
     assert verdict.at == "frame 6758"
     assert "0x001D" in verdict.observed
     assert "AKD-C35" in verdict.clauses
-    assert verdict.claims == ("AKD-109",)
+    assert "AKD-109" in verdict.claims
     assert not drive.conforms
 
 

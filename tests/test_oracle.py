@@ -281,10 +281,11 @@ class Forgetful(VirtualSubDevice):
 
 
 def test_a_value_that_is_confirmed_and_not_stored() -> None:
-    stimuli = (*DRIVE_PREOP, download(0x1C12, 1, b"\x04\x17"), upload(0x1C12, 1))
+    clear, write = download(0x1C12, 0, b"\0"), download(0x1C12, 1, b"\x02\x17")
+    stimuli = (*DRIVE_PREOP, clear, write, upload(0x1C12, 1))
     mismatch = fault(Faulty(Forgetful(AKD)), stimuli)
     assert "SDO-23" in mismatch.clauses
-    assert any("04 17" in expected for expected in mismatch.expected)
+    assert any("02 17" in expected for expected in mismatch.expected)
 
 
 def test_a_wrong_size() -> None:

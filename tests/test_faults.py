@@ -29,9 +29,9 @@ DEPTH = "quick"
 FAULTS = load_faults()
 SMALL = "40"
 """The mailbox for SDO information, so that a list takes several messages."""
-SHORT = 9
+SHORT = 6
 """So many stimuli show what an AL state does; longer cases of the transitions are left out."""
-ALIKE = 2
+ALIKE = 1
 """So many cases are taken whose last two inputs are the same, where no edges count."""
 LONG = 16
 """After so many stimuli a transfer is the same over and over; the sound device stops there."""
@@ -93,13 +93,15 @@ class Suite:
             if fault.clauses[0] in rule.clauses
         }
         often = Counter(rule for _, fired in self.cases for rule in fired)
+        if any(often[rule] > len(self.cases) // 2 for rule in own):
+            near = set()  # it shows at once
 
         def key(row: tuple[Case, frozenset[str]]) -> tuple[float, float, bool, bool, int]:
             case, fired = row
             length = len(case.stimuli)
             return (
                 -sum(1 / often[rule] for rule in own & fired),
-                -sum(1 / often[rule] for rule in near & fired) if not self.ground.layers else 0,
+                -sum(1 / often[rule] for rule in near & fired),
                 case.layer != layer,
                 length > LONG,
                 -length if length > LONG else length,

@@ -281,11 +281,10 @@ class Forgetful(VirtualSubDevice):
 
 
 def test_a_value_that_is_confirmed_and_not_stored() -> None:
-    clear, write = download(0x1C12, 0, b"\0"), download(0x1C12, 1, b"\x02\x17")
-    stimuli = (*DRIVE_PREOP, clear, write, upload(0x1C12, 1))
+    stimuli = (*DRIVE_PREOP, download(0x60C2, 1, b"\x05"), upload(0x60C2, 1))
     mismatch = fault(Faulty(Forgetful(AKD)), stimuli)
     assert "SDO-23" in mismatch.clauses
-    assert any("02 17" in expected for expected in mismatch.expected)
+    assert any("value 05" in expected for expected in mismatch.expected)
 
 
 def test_a_wrong_size() -> None:

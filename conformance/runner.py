@@ -129,7 +129,7 @@ class Runner:
                 self._configured = {
                     key: value
                     for key, value in self.session.oracle.example().objects
-                    if self.model.image.configures(key[0])
+                    if self._sets_up(key[0])
                 }
             self.session.trace = []
         return self._configured
@@ -137,7 +137,11 @@ class Runner:
     def _configures(self, stimulus: Stimulus) -> bool:
         """Tell whether a request may change what is assigned or mapped."""
         index = stimulus.fields.get("index") if isinstance(stimulus, SendFrame) else None
-        return isinstance(index, int) and self.model.image.configures(index)
+        return isinstance(index, int) and self._sets_up(index)
+
+    def _sets_up(self, index: int) -> bool:
+        settings = {key[0] for key in self.model.settings}
+        return self.model.image.configures(index) or index in settings
 
     def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
         """Vary requests at random; every new cause is shrunk to its shortest run by replay."""

@@ -154,6 +154,8 @@ class Session:
             assignment = self.model.image.assignments[name]
             for pdo in self._read_object(assignment):
                 self._read_object(pdo)
+        for key in self.model.settings:
+            self._ask(*key)
 
     def _read_object(self, index: int) -> list[int]:
         """Read the entries that an object counts; give those that are known then."""

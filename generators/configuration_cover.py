@@ -49,7 +49,7 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
         return
     clear, one = _set(model, index, 0, 0), _set(model, index, 0, 1)
     first = _set(model, index, 1, own[0])
-    yield _case(model, f"cleared/{key}", (clear, *_up(model)))
+    yield _case(model, f"cleared/{key}", (clear, _ask(index, 0), *_up(model)))
     yield _case(model, f"entry_while_counted/{key}", (one, _set(model, index, 1, own[-1])))
     yield _case(model, f"same_entry_while_counted/{key}", (clear, first, one, first))
     most = model.dictionary.highest(index)

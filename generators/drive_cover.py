@@ -67,6 +67,8 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
     yield from _options(model, shortest)
     yield from _modes(model)
     yield from _reads(model, shortest)
+    yield from _resets(model, shortest)
+    yield from _early(model)
 
 
 def commands(model: Model) -> dict[str, int]:
@@ -200,6 +202,30 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
         yield _in(model, f"connection_lost/{'default' if option is None else option}", done)
 
 
+def _resets(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield fault resets that are held while the cause goes, or while the fault comes."""
+    reset = WriteOutputs({CONTROL: commands(model)["fault_reset"]})
+    held = (Happen("ds402.fault"), reset, Happen("ds402.fault_gone"), Wait(_LONG), reset)
+    before = (reset, Happen("ds402.fault"), Happen("ds402.fault_gone"), Wait(_LONG), reset)
+    zero = WriteOutputs({CONTROL: 0})
+    for name in (_ENABLED, "SWITCH_ON_DISABLED"):
+        if name in ways:
+            yield _in(model, f"reset_held/{name}", (*_of(ways[name]), *held, zero, reset))
+            yield _in(model, f"reset_before/{name}", (*_of(ways[name]), *before, zero, reset))
+
+
+def _early(model: Model) -> Iterator[Case]:
+    """Yield control words before OP, by process data and by SDO, and then OP."""
+    control, status = (model.protocol.words[name].key for name in (CONTROL, STATUS))
+    op = request(row(model, "al_state", "OP"))
+    for name, value in commands(model).items():
+        yield _in(model, f"early/{name}", (WriteOutputs({CONTROL: value}), op), "SAFEOP")
+    if control is not None and status is not None:
+        first = _set(model, control, commands(model)["shutdown"])
+        up = way_to(model, "SAFEOP")[len(way_to(model, "PREOP")) :]
+        yield _in(model, "early/by_sdo", (first, *up, upload(*status)), "PREOP")
+
+
 def _options(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     """Yield a quick stop, halt and disabling with every option code that the texts allow."""
     known = commands(model)
@@ -235,6 +261,9 @@ def _modes(model: Model) -> Iterator[Case]:
         done = (_set(model, chosen, mode), upload(*active))
         yield _in(model, f"mode_{mode}/PREOP", done, "PREOP")
         yield _in(model, f"mode_{mode}/OP", done)
+        for first in rows[:2]:
+            again = (_set(model, chosen, first), upload(*active), *done)
+            yield _in(model, f"mode_{mode}_after_{first}/OP", again)
 
 
 # --- helpers --------------------------------------------------------------------------------------

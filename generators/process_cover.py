@@ -107,6 +107,7 @@ def _watchdog(model: Model) -> Iterator[Case]:
     yield _case(model, "watchdog_in_safeop", (WriteOutputs(), *expired), "SAFEOP")
     off = WriteRegister("watchdog_process_data", {"time": 0})
     yield _case(model, "watchdog_off", (off, WriteOutputs(), *expired), "OP")
+    yield _case(model, "watchdog_never_on", (off, WriteOutputs(), op, *expired), "SAFEOP")
     longer = WriteRegister("watchdog_process_data", {"time": 2 * WATCHDOG})
     shorter = WriteRegister("watchdog_process_data", {"time": WATCHDOG // 4})
     chosen = (

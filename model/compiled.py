@@ -200,6 +200,14 @@ class Model:
             if word.key in self.dictionary.entries
         }
         """The words of objects that the device has."""
+        self.settings = tuple(
+            key
+            for key, word in self.words.items()
+            if not self.dictionary.entries[key].volatile
+            and all(field.shows is None for field in word.fields)
+            and not self.image.configures(key[0])
+        )
+        """The entries that say how words are to be understood: option codes, a mode."""
         self.fetched = Event(MAILBOX, "fetched", {})
         """The MainDevice has read a message."""
         self._properties = [

@@ -269,7 +269,14 @@ def _given(model: Model, event: Event, target: str, arguments: Mapping[str, Valu
 
 
 def _forget(model: Model, state: State, machine: str) -> State:
-    """Give the state after what no text describes: the machine's variables are unknown."""
+    """Give the state after what no text describes: the machine's variables are unknown.
+
+    What words move may be in another state too: the words will show it. A device stays as it is.
+    """
+    if model.assuming:
+        return state
+    if machine in model.worded:
+        state = state.having(model.slots[f"{machine}.state"], UNKNOWN)
     for variable in model.protocol.machines[machine].variables:
         state = state.having(model.slots[f"{machine}.{variable.name}"], UNKNOWN)
     return state

@@ -200,7 +200,7 @@ class VirtualSubDevice:
 
     def _run(self, event: Event, message: Message | None = None) -> None:
         taken = step(self.model, self.state, event)[0]
-        if taken.unspecified and not _delivered(taken):
+        if taken.unspecified and message is not None and not _delivered(taken):
             return
         was_alive = self._alive()
         self._settle(taken.state)

@@ -31,7 +31,7 @@ from ecatspec.conformance.session import Session
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Exchange, Mismatch, Oracle
+from ecatspec.model.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device
 
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.generators.case import Case
+    from ecatspec.model.candidates import Exchange, Mismatch
     from ecatspec.spec.language.ir import Protocol
 
 Call: TypeAlias = tuple[str, tuple[object, ...]]

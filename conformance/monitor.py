@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.capture import Bits, Capture, WireFormat
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
+from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.fmmu import fmmu_registers
 from ecatspec.model.interpreter import rule_clauses
-from ecatspec.model.oracle import Exchange, Mismatch, Oracle
+from ecatspec.model.oracle import Oracle
 from ecatspec.model.words import message_words, register_words
 from ecatspec.spec.language.ir import Level
 

@@ -29,11 +29,12 @@ from ecatspec.generators.strategies import requests
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rule_clauses
-from ecatspec.model.oracle import Mismatch, Oracle
+from ecatspec.model.oracle import Oracle
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.model.candidates import Mismatch
     from ecatspec.model.state import RuleName
     from ecatspec.model.values import ObjectKey
 
@@ -60,6 +61,8 @@ class Runner:
         self.verdicts: list[Verdict] = []
         self.rules: set[RuleName] = set()
         self.choices: dict[str, str] = dict(SHAPE)
+        self.refusals: dict[str, str] = {}
+        """Why the device refused a transition, with the first case that showed it."""
         self.session.oracle.raised = description.locals
         self._configured: dict[ObjectKey, bytes] | None = None
         """What was assigned and mapped at power-on, as far as it was read; None: not read yet."""
@@ -105,6 +108,9 @@ class Runner:
         finally:
             if any(self._configures(stimulus) for stimulus in case.stimuli):
                 self._configured = None
+        for line in self.session.trace:
+            if line.who == "reason":
+                self.refusals.setdefault(line.what, case.name)
         oracle = self.session.oracle
         self.rules |= oracle.certain_rules()
         self.choices |= oracle.choices()
@@ -242,7 +248,8 @@ class Runner:
 
     def _inconclusive(self, case: Case, states: frozenset[str]) -> Verdict:
         reached = " or ".join(sorted(states)) or "no state"
-        reason = f"needs AL state {case.needs}, the device is in {reached}"
+        why = "".join(f"; {text}" for text in self.session.oracle.reasons())
+        reason = f"needs AL state {case.needs}, the device is in {reached}{why}"
         return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
 
 
@@ -300,7 +307,10 @@ def run_device(
         len(all_cited),
         time.monotonic() - began,
         runner.choices,
-        description.notes,
+        (
+            *description.notes,
+            *(f"refused: {why} (first in {name})" for why, name in runner.refusals.items()),
+        ),
         interrupted,
     )
 

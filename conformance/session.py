@@ -28,9 +28,9 @@ from ecatspec.generators.mailbox_cover import probe_entry
 from ecatspec.generators.process_data import image, settings
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.transfers import upload, upload_segment
+from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
-from ecatspec.model.oracle import Exchange, Mismatch, Oracle
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.model.words import message_words, register_words
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.model.compiled import Model
+    from ecatspec.model.oracle import Oracle
     from ecatspec.model.values import ObjectKey
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS

@@ -8,9 +8,16 @@ that none of them allows is a mismatch.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from ecatspec.model.candidates import (
+    Candidate,
+    Exchange,
+    Loose,
+    Mismatch,
+    Pending,
+    with_alarms,
+)
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.dictionary import CROWDED
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
@@ -52,85 +59,6 @@ _LIMIT = 256
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
 _REMEMBERED = 256
-
-
-@dataclass(frozen=True, slots=True)
-class Exchange:
-    """One access of the MainDevice; `time` in microseconds on the device's clock."""
-
-    time: int
-    write: bool
-    address: int
-    data: bytes
-    working_counter: int
-    reference: str = ""
-
-    def span(self) -> tuple[int, int]:
-        """Give address and length."""
-        return self.address, len(self.data)
-
-
-@dataclass(frozen=True, slots=True)
-class Pending:
-    """An input that the device has, and until when it may leave it unserved (`within` from now).
-
-    A `timer` comes by itself, not before `since`; for others that is when they came.
-    """
-
-    event: Event
-    deadline: int
-    within: int = 0
-    since: int = 0
-    timer: bool = False
-    optional: bool = False
-    """It may have been served already, when too much was possible to follow."""
-
-    def target(self) -> tuple[str, str]:
-        """Give the machine and the input."""
-        return self.event.machine, self.event.input
-
-
-class Loose(IntEnum):
-    """How much the mailbox may hold that no text speaks of."""
-
-    NONE = 0
-    ONE = 1
-    """The answer to a message that the texts leave open."""
-    ALL = 2
-    """Anything: the beginning was not seen, or the mailbox is not alive."""
-
-
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """One explanation: a state, inputs not yet served, replies not yet read.
-
-    The first reply lies in the mailbox, at the latest from `ready` on. `last` is the message that
-    the MainDevice read last.
-    """
-
-    state: State
-    inbox: tuple[Pending, ...] = ()
-    outbox: tuple[Output, ...] = ()
-    loose: Loose = Loose.NONE
-    ready: int = 0
-    last: bytes | None = None
-    befell: tuple[str, ...] = ()
-    """What befell the device without anybody having raised it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Mismatch:
-    """An observation that no candidate allows."""
-
-    exchange: Exchange
-    subject: str
-    expected: tuple[str, ...]
-    observed: str
-    rules: tuple[RuleName, ...]
-    clauses: tuple[str, ...]
-    signature: str
-    reasons: tuple[str, ...] = ()
-    """Why the device had to refuse, where it had to."""
 
 
 @dataclass(slots=True)
@@ -518,7 +446,7 @@ class Oracle:
             same = held == dict(zip(HELD, (True, exchange.data), strict=True))
             if same or all(taken.state == candidate.state for taken in steps):
                 # the same outputs once more: only what they put off has news of them
-                inbox = _with_alarms(rest, steps[0], exchange.time, until)
+                inbox = with_alarms(rest, steps[0], exchange.time, until)
             else:
                 # the device looks by then, at these outputs or at those before
                 old = [p.deadline for p in candidate.inbox if p.target() == own]
@@ -912,7 +840,7 @@ class Oracle:
     ) -> Candidate:
         state = step(self.model, taken.state, self.model.fetched)[0].state
         outbox = rest + taken.outputs
-        inbox = _with_alarms(candidate.inbox, taken, time, time)
+        inbox = with_alarms(candidate.inbox, taken, time, time)
         if outbox:
             ready = time + (outbox[0].within or self.model.parameter("response_timeout"))
         else:
@@ -1012,7 +940,7 @@ class Oracle:
             after = replace(
                 candidate,
                 state=taken.state,
-                inbox=_with_alarms(rest, taken, pending.since, pending.deadline),
+                inbox=with_alarms(rest, taken, pending.since, pending.deadline),
                 outbox=outbox,
                 loose=max(candidate.loose, Loose.ONE if mail and taken.unspecified else Loose.NONE),
             )
@@ -1080,16 +1008,6 @@ class Oracle:
             tuple(clauses),
             f"{subject} {' '.join(sorted(clauses))} {observed.partition(':')[0]}",
         )
-
-
-def _with_alarms(
-    inbox: tuple[Pending, ...], taken: Step, since: int, until: int
-) -> tuple[Pending, ...]:
-    """Give the inputs with those that a step makes come by itself; the step was in this time."""
-    for alarm in taken.alarms:
-        late = Pending(alarm.event, until + alarm.within, since=since + alarm.after, timer=True)
-        inbox = (*(p for p in inbox if not p.timer or p.target() != late.target()), late)
-    return inbox
 
 
 def _last(

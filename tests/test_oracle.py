@@ -16,7 +16,7 @@ from ecatspec.generators.transfers import download, normal_download, upload, upl
 from ecatspec.model import subdevice
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
-from ecatspec.model.oracle import Exchange, Oracle
+from ecatspec.model.oracle import Oracle
 from ecatspec.model.state import Event
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, concrete
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ecatspec.generators.case import Stimulus
+    from ecatspec.model.candidates import Exchange, Mismatch
     from ecatspec.model.codec import Message
     from ecatspec.model.evaluate import Getter
-    from ecatspec.model.oracle import Mismatch
     from ecatspec.model.state import Output
     from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Choice, Condition, Protocol

@@ -1,0 +1,99 @@
+"""The only place for the data of judging: what was exchanged, one explanation of it, a mismatch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ecatspec.model.state import Event, Output, RuleName, State, Step
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """One access of the MainDevice; `time` in microseconds on the device's clock."""
+
+    time: int
+    write: bool
+    address: int
+    data: bytes
+    working_counter: int
+    reference: str = ""
+
+    def span(self) -> tuple[int, int]:
+        """Give address and length."""
+        return self.address, len(self.data)
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """An input that the device has, and until when it may leave it unserved (`within` from now).
+
+    A `timer` comes by itself, not before `since`; for others that is when they came.
+    """
+
+    event: Event
+    deadline: int
+    within: int = 0
+    since: int = 0
+    timer: bool = False
+    optional: bool = False
+    """It may have been served already, when too much was possible to follow."""
+
+    def target(self) -> tuple[str, str]:
+        """Give the machine and the input."""
+        return self.event.machine, self.event.input
+
+
+class Loose(IntEnum):
+    """How much the mailbox may hold that no text speaks of."""
+
+    NONE = 0
+    ONE = 1
+    """The answer to a message that the texts leave open."""
+    ALL = 2
+    """Anything: the beginning was not seen, or the mailbox is not alive."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One explanation: a state, inputs not yet served, replies not yet read.
+
+    The first reply lies in the mailbox, at the latest from `ready` on. `last` is the message that
+    the MainDevice read last.
+    """
+
+    state: State
+    inbox: tuple[Pending, ...] = ()
+    outbox: tuple[Output, ...] = ()
+    loose: Loose = Loose.NONE
+    ready: int = 0
+    last: bytes | None = None
+    befell: tuple[str, ...] = ()
+    """What befell the device without anybody having raised it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """An observation that no candidate allows."""
+
+    exchange: Exchange
+    subject: str
+    expected: tuple[str, ...]
+    observed: str
+    rules: tuple[RuleName, ...]
+    clauses: tuple[str, ...]
+    signature: str
+    reasons: tuple[str, ...] = ()
+    """Why the device had to refuse, where it had to."""
+
+
+def with_alarms(
+    inbox: tuple[Pending, ...], taken: Step, since: int, until: int
+) -> tuple[Pending, ...]:
+    """Give the inputs with those that a step makes come by itself; the step was in this time."""
+    for alarm in taken.alarms:
+        late = Pending(alarm.event, until + alarm.within, since=since + alarm.after, timer=True)
+        inbox = (*(p for p in inbox if not p.timer or p.target() != late.target()), late)
+    return inbox

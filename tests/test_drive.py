@@ -130,7 +130,7 @@ def test_the_virtual_drive_passes_and_makes_all_transitions(
     protocol = load_device(device)
     told = description(protocol)
     run = Runner(Model(protocol), VirtualAdapter(VirtualSubDevice(protocol), told), told)
-    for each in cases(device)[::2]:
+    for each in cases(device)[::3]:
         verdict = run.judge(each)
         assert verdict.outcome is Outcome.PASS, (each.name, verdict)
     assert set(TRANSITIONS[device]) <= made
@@ -188,7 +188,7 @@ def blamed(device: VirtualSubDevice, judge: Protocol, tried: Iterable[Case]) -> 
 def test_no_way_at_a_choice_is_blamed(choice: Choice, way: str) -> None:
     pins = REFERENCE.pins | {choice.name: Pin(choice.name, way, ())}
     device = VirtualSubDevice(replace(REFERENCE, pins=pins))
-    assert blamed(device, UNPINNED, sample(17)) == []
+    assert blamed(device, UNPINNED, sample(43)) == []
 
 
 @pytest.mark.parametrize("condition", TRUTHS, ids=lambda c: c.name)
@@ -196,7 +196,7 @@ def test_no_truth_of_a_condition_is_blamed(condition: Condition) -> None:
     other = replace(condition, assumed=not condition.assumed)
     conditions = REFERENCE.conditions | {condition.name: other}
     device = VirtualSubDevice(replace(REFERENCE, conditions=conditions))
-    assert blamed(device, UNPINNED, sample(19)) == []
+    assert blamed(device, UNPINNED, sample(47)) == []
 
 
 class Tardy(VirtualSubDevice):
@@ -222,7 +222,7 @@ class Tardy(VirtualSubDevice):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_drive_that_looks_late_is_not_blamed(seed: int) -> None:
-    assert blamed(Tardy(REFERENCE, seed), UNPINNED, sample(11)) == []
+    assert blamed(Tardy(REFERENCE, seed), UNPINNED, sample(29)) == []
 
 
 def test_what_befalls_a_drive_by_itself_is_not_its_fault() -> None:

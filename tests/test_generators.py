@@ -186,8 +186,10 @@ def test_two_generations_are_equal(device: str) -> None:
         assert tuple(all_cases(model_of(device), NO_LIMITS, depth)) == cases_of(device, depth)
 
 
-@each_device
-@pytest.mark.parametrize("mailbox", ["", *SIZES])
+@pytest.mark.parametrize(
+    ("device", "mailbox"),
+    [*((device, "") for device in sorted(OTHER_WAY)), *(("reference", size) for size in SIZES)],
+)
 def test_a_quick_run_is_part_of_a_whole_one(device: str, mailbox: str) -> None:
     whole = {case.name: case for case in cases_of(device, mailbox=mailbox)}
     quick = cases_of(device, "quick", mailbox)

@@ -32,6 +32,7 @@ from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.process_image import INPUTS, OUTPUTS
+from ecatspec.model.values import bits_of
 from ecatspec.model.words import message_words, register_words
 
 if TYPE_CHECKING:
@@ -183,7 +184,7 @@ class Session:
                 self.model,
                 name,
                 {
-                    bits.name: raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+                    bits.name: bits_of(raw, bits.low, bits.high)
                     for bits in self.model.protocol.words[name].fields
                 },
             )

@@ -140,7 +140,7 @@ def _unmappable(model: Model, name: str, good: int) -> dict[str, int]:
 def _too_much(model: Model, good: list[int], most: int) -> list[int]:
     """Give entries that a PDO could count, with more bits than it holds; nothing: it holds all."""
     room = model.parameter("pdo_capacity")
-    bits = {value: _size(model, value) for value in good}
+    bits = {value: model.image.target(value)[1] for value in good}
     chosen: list[int] = []
     for value in sorted(good, key=lambda each: -bits[each]):
         chosen.append(value)
@@ -183,11 +183,6 @@ def _entry_of(model: Model, key: ObjectKey) -> int:
 def _value(model: Model, key: ObjectKey, bits: int) -> int:
     fields = {f.name: f.low for f in model.protocol.words["pdo_entry"].fields}
     return bits << fields["bit_length"] | key[1] << fields["subindex"] | key[0] << fields["index"]
-
-
-def _size(model: Model, value: int) -> int:
-    field = next(f for f in model.protocol.words["pdo_entry"].fields if f.name == "bit_length")
-    return value >> field.low & ((1 << (field.high - field.low + 1)) - 1)
 
 
 def _set(model: Model, index: int, subindex: int, value: int) -> Stimulus:

@@ -19,7 +19,7 @@ from ecatspec.model.evaluate import (
 from ecatspec.model.functions import PLAIN
 from ecatspec.model.process_image import ProcessImage
 from ecatspec.model.state import Event, RuleName, State
-from ecatspec.model.values import UNKNOWN, Pattern, Value
+from ecatspec.model.values import UNKNOWN, Pattern, Value, bits_of
 from ecatspec.spec.language.ir import (
     Access,
     After,
@@ -421,14 +421,13 @@ class Model:
 
     def _field(self, slot: int, fields: tuple[RegisterField, ...], name: str) -> Getter:
         bits = next(item for item in fields if item.name == name)
-        mask = (1 << (bits.high - bits.low + 1)) - 1
         truth = isinstance(bits.type, Bool)
 
         def field(environment: Environment) -> Value:
             value = environment.slots[slot]
             if not isinstance(value, int):
                 return UNKNOWN
-            content = value >> bits.low & mask
+            content = bits_of(value, bits.low, bits.high)
             return bool(content) if truth else content
 
         return field

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.buffers import ProcessChannel, ThreeBuffers
 from ecatspec.model.fmmu import Fmmu, fmmu_registers
+from ecatspec.model.values import bits_of
 from ecatspec.spec.language.ir import Access, Bool
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ _ALL = SYNC_MANAGERS + PROCESS_DATA
 def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
     """Give one field of a register whose content is `raw`, a truth value where the text says so."""
     bits = next(item for item in protocol.registers[register].fields if item.name == field)
-    value = raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+    value = bits_of(raw, bits.low, bits.high)
     return bool(value) if isinstance(bits.type, Bool) else value
 
 

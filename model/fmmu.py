@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ecatspec.model.values import bits_of
+
 if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Protocol, Register
 
@@ -83,7 +85,7 @@ class Fmmu:
 
         def number(name: str) -> int:
             bits = next(field for field in register.fields if field.name == name)
-            return raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+            return bits_of(raw, bits.low, bits.high)
 
         return cls(
             number("logical_start"),

@@ -8,7 +8,7 @@ from ecatspec.model.compiled import rows_of
 from ecatspec.model.evaluate import Environment, before
 from ecatspec.model.process_image import OUTPUTS, taken
 from ecatspec.model.state import Alarm, Event, Output, RuleName, State, Step
-from ecatspec.model.values import UNKNOWN, Pattern, Value, admits
+from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, bits_of
 from ecatspec.spec.language.ir import Bool
 from ecatspec.spec.language.scope import CYCLIC, REPLY
 
@@ -252,7 +252,7 @@ def fields_with_before(
 def _part(bits: RegisterField, raw: Value | None) -> Value:
     if not isinstance(raw, int):
         return UNKNOWN
-    value = raw >> bits.low & ((1 << (bits.high - bits.low + 1)) - 1)
+    value = bits_of(raw, bits.low, bits.high)
     return bool(value) if isinstance(bits.type, Bool) else value
 
 

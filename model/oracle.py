@@ -33,7 +33,7 @@ from ecatspec.model.interpreter import (
     step,
 )
 from ecatspec.model.process_image import INPUTS
-from ecatspec.model.process_image import taken as bits_of
+from ecatspec.model.process_image import taken as taken_bits
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, is_any
 from ecatspec.model.words import fields_words, message_words, reason_words, register_words
@@ -233,7 +233,7 @@ class Oracle:
         environment = Environment(state.slots, state.known(), {})
         for mapped in self.model.image.layout(environment, INPUTS) or ():
             word = None if mapped.key is None else self.model.words.get(mapped.key)
-            raw = bits_of(image, mapped)
+            raw = taken_bits(image, mapped)
             if word is not None and raw is not None:
                 now = fields_with_before(word.fields, raw, None)
                 shown = {view.name: now[view.name] for view in self.model.views[word.name]}
@@ -684,7 +684,7 @@ class Oracle:
         found = {}
         for mapped in self.model.image.layout(environment, INPUTS) or ():
             shown = None if mapped.key is None else self.model.dictionary.shown.get(mapped.key)
-            raw = bits_of(image, mapped)
+            raw = taken_bits(image, mapped)
             if shown is None or mapped.key is None or raw is None:
                 continue
             word = self.model.words[mapped.key]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ecatspec.model.dictionary import size_of
-from ecatspec.model.values import UNKNOWN, ObjectKey, Pattern, Value
+from ecatspec.model.values import UNKNOWN, ObjectKey, Pattern, Value, bits_of
 from ecatspec.spec.language.ir import Access, Bool, SInt, UInt
 
 if TYPE_CHECKING:
@@ -120,10 +120,7 @@ class ProcessImage:
 
     def target(self, value: int) -> tuple[ObjectKey | None, int]:
         """Give the entry that a mapping entry names (None: a gap), and its bits."""
-        part = {
-            name: value >> low & ((1 << (high - low + 1)) - 1)
-            for name, (low, high) in self._fields.items()
-        }
+        part = {name: bits_of(value, *place) for name, place in self._fields.items()}
         key = (part["index"], part["subindex"]) if part["index"] else None
         return key, part["bit_length"]
 

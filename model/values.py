@@ -101,6 +101,11 @@ Value: TypeAlias = "int | bool | bytes | str | Pattern"
 UNKNOWN = Pattern()
 
 
+def bits_of(raw: int, low: int, high: int) -> int:
+    """Give the bits `low` to `high` of a number, both included."""
+    return raw >> low & ((1 << (high - low + 1)) - 1)
+
+
 def admits(expected: Value, observed: Value) -> bool:
     """Tell whether the concrete `observed` is what `expected` says."""
     if isinstance(expected, Pattern):

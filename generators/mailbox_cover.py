@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import WAY_UP, case_in, mailbox_settings, request, row
+from ecatspec.generators.bringup import WAY_UP, case_in, mailbox_settings, request, row, way_to
 from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, Stimulus
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import size_of, size_varies
@@ -112,8 +112,11 @@ def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
     twin = replace(ask, same_counter=True)
     title = "a counter from before the restart is no duplicate"
     yield case_in(model, "mailbox/restart_same_counter", title, [ask, *down, twin])
-    ways = [request(row(model, "al_state", name)) for name in ("SAFEOP", "OP", "SAFEOP", "PREOP")]
-    around: list[Stimulus] = [stimulus for way in ways for stimulus in (way, ask)]
+    known = [len(way_to(model, state)) for state in ("PREOP", "SAFEOP")]
+    up = way_to(model, "OP")
+    down = [request(row(model, "al_state", name)) for name in ("SAFEOP", "PREOP")]
+    steps = [up[known[0] : known[1]], up[known[1] :], *((each,) for each in down)]
+    around: list[Stimulus] = [stimulus for way in steps for stimulus in (*way, ask)]
     yield case_in(model, "mailbox/through_the_states", "an upload in each state", around)
 
 

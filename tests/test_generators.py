@@ -180,7 +180,7 @@ def test_names_are_unique_and_start_with_the_layer(device: str, mailbox: str) ->
         assert case.flag in {"", *NOTES}
 
 
-@each_device
+@pytest.mark.parametrize("device", ["reference", "reference-drive"])
 def test_two_generations_are_equal(device: str) -> None:
     for depth in DEPTHS:
         assert tuple(all_cases(model_of(device), NO_LIMITS, depth)) == cases_of(device, depth)

@@ -80,6 +80,8 @@ class Follower:
     path: list[str] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     """Why requests were refused, with the frame that showed it."""
+    accidents: list[str] = field(default_factory=list)
+    """What befell the device without a request, with the frame that showed it."""
     messages: Counter[str] = field(default_factory=Counter)
     exchanges: int = 0
     lost: int = 0
@@ -117,6 +119,10 @@ class Follower:
             self.oracle.unknown(keep=True)
             self.oracle.observe(exchange)
         else:
+            if surprises := self.oracle.surprises():
+                what = f"{' or '.join(surprises)} by itself ({exchange.reference})"
+                self.accidents.append(what)
+                self.recent.append(TraceLine(exchange.time, "SubDevice", what))
             self.oracle.forget_history()
 
     def _remember(self, exchange: Exchange) -> None:
@@ -233,6 +239,7 @@ def _result(
         states,
         f"mailbox: {messages or 'nothing'}",
         *refused,
+        *follower.accidents,
         lost,
     )
     return Result(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import count
+from time import monotonic
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
@@ -82,11 +83,14 @@ class Session:
     _shown_words: dict[str, str] = field(default_factory=dict)
     _outputs: dict[str, int] | None = None
     """The words that are written cyclically, None where nothing is."""
+    _began: float | None = None
+    """When the clock of a device in real time was 0; None: time passes by waiting alone."""
 
     def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
         """Power cycle the device."""
         self.adapter.reset()
         self.time = 0
+        self._began = None if self.adapter.describe().virtual_time else monotonic()
         self.trace = []
         self.attempt = None
         self._counter = 0
@@ -294,6 +298,7 @@ class Session:
 
     def _read_register(self, name: str) -> int:
         register = self.model.protocol.registers[name]
+        self._tick()
         counter, data = self.adapter.read(register.address, register.size)
         raw = int.from_bytes(data, "little")
         if self.model.views[name] and self._shown.get(name) != raw:
@@ -317,6 +322,7 @@ class Session:
         self.attempt = self._exchange(address, data, 1, write=True)
         counter = self.adapter.write(address, data)
         self.attempt = None
+        self._tick()
         self._observe(self._exchange(address, data, counter, write=True))
         return counter
 
@@ -330,6 +336,11 @@ class Session:
         mismatch = self.oracle.observe(exchange)
         if mismatch is not None:
             raise Deviation(mismatch)
+
+    def _tick(self) -> None:
+        """Look at the clock: exchanges take time too, where it is real."""
+        if self._began is not None:
+            self.time = max(self.time, round((monotonic() - self._began) * _SECOND))
 
     def _wait(self, microseconds: int) -> None:
         until = self.time + microseconds

@@ -89,11 +89,20 @@ class Mismatch:
     """Why the device had to refuse, where it had to."""
 
 
+_FASTER = 10
+"""A device's clock may be faster than ours by one part in so many."""
+
+
 def with_alarms(
     inbox: tuple[Pending, ...], taken: Step, since: int, until: int
 ) -> tuple[Pending, ...]:
     """Give the inputs with those that a step makes come by itself; the step was in this time."""
     for alarm in taken.alarms:
-        late = Pending(alarm.event, until + alarm.within, since=since + alarm.after, timer=True)
+        late = Pending(
+            alarm.event,
+            until + alarm.within,
+            since=since + alarm.after - alarm.after // _FASTER,
+            timer=True,
+        )
         inbox = (*(p for p in inbox if not p.timer or p.target() != late.target()), late)
     return inbox

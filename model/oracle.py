@@ -74,7 +74,7 @@ class Oracle:
     """Local events (`machine.input`) that befall the device only when they are raised."""
     _outputs: tuple[Event, ...] = ()
     _suspicion: Mismatch | None = None
-    """The first observation that only an accident explains."""
+    """The first observation since a request that only an accident explains."""
     _known_steps: dict[tuple[int, State], tuple[Event, tuple[Step, ...]]] = field(
         default_factory=dict
     )
@@ -126,6 +126,7 @@ class Oracle:
             for state in states
             if not self.model.broken(state)
         }
+        self._suspicion = None
 
     # --- one exchange -----------------------------------------------------------------------------
 
@@ -269,9 +270,9 @@ class Oracle:
             self._add(self.candidates, self._fed(candidate, exchange), history)
 
     def forget_history(self) -> None:
-        """Keep only the last rule of each machine in each history, for runs without end."""
+        """Keep the last rule of each machine, and no accidents: some runs have no end."""
         self.candidates = {
-            candidate: tuple({rule.machine: rule for rule in history}.values())
+            replace(candidate, befell=()): tuple({rule.machine: rule for rule in history}.values())
             for candidate, history in self.candidates.items()
         }
 
@@ -329,6 +330,7 @@ class Oracle:
         if touched:
             if exchange.working_counter:
                 self.written = exchange.time
+                self._suspicion = None
                 self._write_registers(touched, exchange)
             return None
         return self._write_outputs(exchange) or self._write_mailbox(exchange)
@@ -527,6 +529,7 @@ class Oracle:
             )
         if concerned and exchange.working_counter:
             self.written = exchange.time
+            self._suspicion = None
         self.candidates = after
         return None
 

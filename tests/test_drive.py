@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from ecatspec.conformance import session
 from ecatspec.conformance.adapter import AdapterError, Description, raise_local
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
 from ecatspec.conformance.monitor import monitor_file
@@ -335,7 +336,7 @@ def test_a_drive_is_enabled_through_logical_addresses() -> None:
 
 def test_the_watchdog_takes_op_away_only_in_its_time() -> None:
     run = runner(VirtualSubDevice(REFERENCE))
-    assert run.judge(case(StopOutputs(), Wait(1_900_000))).outcome is Outcome.PASS
+    assert run.judge(case(StopOutputs(), Wait(1_700_000))).outcome is Outcome.PASS
     assert run.session.oracle.al_states() == {"OP"}
     assert run.judge(case(StopOutputs(), Wait(2_500_000))).outcome is Outcome.PASS
     assert run.session.oracle.al_states() == {"SAFEOP"}
@@ -346,3 +347,56 @@ def test_a_write_of_the_assignment_is_learned_and_forgotten() -> None:
     clear = download(0x1C12, 0, b"\0")
     assert run.judge(case(clear, upload(0x1C12, 0), state="PREOP")).outcome is Outcome.PASS
     assert run.judge(case(state="OP")).outcome is Outcome.PASS
+
+
+def test_where_time_is_real_exchanges_take_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A watchdog that expires between slow exchanges is no fault."""
+    clock = [0.0]
+    device = VirtualSubDevice(REFERENCE)
+
+    class Slow(VirtualAdapter):
+        def read(self, address: int, length: int) -> tuple[int, bytes]:
+            clock[0] += 0.02
+            device.advance(0.02)
+            return super().read(address, length)
+
+        def advance(self, seconds: float) -> None:
+            clock[0] += seconds
+            super().advance(seconds)
+
+    monkeypatch.setattr(session, "monotonic", lambda: clock[0])
+    told = replace(description(REFERENCE), virtual_time=False)
+    run = Runner(Model(REFERENCE), Slow(device, told), told)
+    uploads = [upload(0x1000, 0)] * 20
+    verdict = run.judge(case(StopOutputs(), *uploads))
+    assert verdict.outcome is Outcome.PASS, verdict
+    assert run.session.oracle.al_states() == {"SAFEOP"}
+    assert run.session.time >= 2_000_000
+
+
+def test_a_mode_by_sdo_is_open_while_process_data_bring_one() -> None:
+    assign = (
+        download(0x1C12, 0, b"\0"),
+        download(0x1C12, 1, b"\0\x17"),
+        download(0x1C12, 0, b"\1"),
+    )
+    up = way_to(MODEL, "OP")[len(way_to(MODEL, "PREOP")) :]
+    cyclic = WriteOutputs({"chosen_mode": 3})
+    chosen = (cyclic, upload(0x6061, 0), download(0x6060, 0, b"\x08"), upload(0x6061, 0))
+    for judge, device in ((REFERENCE, REFERENCE), (REFERENCE, taking_modes())):
+        verdict = runner(VirtualSubDevice(device), judge).judge(
+            case(*assign, *up, *chosen, state="PREOP")
+        )
+        assert verdict.outcome is Outcome.PASS, verdict
+
+
+def taking_modes() -> Protocol:
+    """The device that takes a mode by SDO although process data bring one."""
+    machine = REFERENCE.machines["ds402"]
+    value = next(r for r in machine.rules if r.name == "mode_taken").updates
+    rules = tuple(
+        replace(r, updates=value) if r.name == "mode_unclear" else r for r in machine.rules
+    )
+    return replace(
+        REFERENCE, machines=REFERENCE.machines | {"ds402": replace(machine, rules=rules)}
+    )

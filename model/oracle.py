@@ -32,19 +32,29 @@ from ecatspec.model.interpreter import (
     rule_clauses,
     step,
 )
-from ecatspec.model.process_image import INPUTS
-from ecatspec.model.process_image import taken as taken_bits
+from ecatspec.model.shown import (
+    decided,
+    enabled,
+    machines_of,
+    mailbox_area,
+    odd_words,
+    process_area,
+    seen,
+    shown_fields,
+    shown_register,
+    words_in,
+)
 from ecatspec.model.state import Event, Output, RuleName, State
-from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, is_any
+from ecatspec.model.values import UNKNOWN, Value, is_any
 from ecatspec.model.words import fields_words, message_words, reason_words, register_words
-from ecatspec.spec.language.ir import Access, Conditional, Expression, Name
-from ecatspec.spec.language.scope import IMAGE, Scope, StateRef, VariableRef, names_in, resolve
+from ecatspec.spec.language.ir import Access
+from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from ecatspec.model.codec import Message
-    from ecatspec.model.compiled import Model, View
+    from ecatspec.model.compiled import Model
     from ecatspec.model.state import Step
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Register, Word
@@ -225,20 +235,12 @@ class Oracle:
 
     def process_area(self, name: str) -> tuple[int, int] | None:
         """Give start and length of process data that are switched on, as all candidates agree."""
-        areas = {self._process_area(candidate.state, name) for candidate in self.candidates}
+        areas = {process_area(self.model, candidate.state, name) for candidate in self.candidates}
         return areas.pop() if len(areas) == 1 else None
 
     def words_in(self, image: bytes) -> Iterator[tuple[str, str]]:
         """Yield the words that inputs hold, by name and in words."""
-        state = self.example()
-        environment = Environment(state.slots, state.known(), {})
-        for mapped in self.model.image.layout(environment, INPUTS) or ():
-            word = None if mapped.key is None else self.model.words.get(mapped.key)
-            raw = taken_bits(image, mapped)
-            if word is not None and raw is not None:
-                now = fields_with_before(word.fields, raw, None)
-                shown = {view.name: now[view.name] for view in self.model.views[word.name]}
-                yield word.name, register_words(self.model, word.name, shown)
+        return words_in(self.model, self.example(), image)
 
     def surprises(self) -> tuple[str, ...]:
         """Give what may have befallen the device by itself; nothing: it may be none of it."""
@@ -278,7 +280,7 @@ class Oracle:
 
     def area(self, name: str) -> tuple[int, int] | None:
         """Give start and length of a mailbox as far as all candidates agree."""
-        areas = {self._area(candidate.state, name) for candidate in self.candidates}
+        areas = {mailbox_area(self.model, candidate.state, name) for candidate in self.candidates}
         return areas.pop() if len(areas) == 1 else None
 
     def certain_rules(self) -> frozenset[RuleName]:
@@ -349,8 +351,8 @@ class Oracle:
             for register in touched:
                 slot = self.model.slots[f"register {register.name}"]
                 raw = self._merged(register, state.slots[slot], exchange)
-                if register.name in (*SYNC_MANAGERS, *PROCESS_DATA) and self._enabled(
-                    candidate.state, register.name
+                if register.name in (*SYNC_MANAGERS, *PROCESS_DATA) and enabled(
+                    self.model, candidate.state, register.name
                 ):
                     raw = state.slots[slot] or 0
                 parameters |= fields_with_before(register.fields, raw, state.slots[slot])
@@ -379,13 +381,7 @@ class Oracle:
         return None if idle and not within else Pending(event, time + within, within, time)
 
     def _mailboxes_off(self, state: State) -> bool:
-        return self._enabled(state, MAIN_IN) is False
-
-    def _enabled(self, state: State, name: str) -> bool | None:
-        raw = state.slots[self.model.slots[f"register {name}_activation"]]
-        if not isinstance(raw, int):
-            return None
-        return bool(field_of(self.model.protocol, f"{name}_activation", "enabled", raw))
+        return enabled(self.model, state, MAIN_IN) is False
 
     def _merged(self, register: Register, before: Value | None, exchange: Exchange) -> Value:
         covered = range(
@@ -404,7 +400,7 @@ class Oracle:
     def _concerned(self, name: str, exchange: Exchange) -> bool:
         """Tell whether an access is one to process data, which nothing but a write moves."""
         span = exchange.span()
-        return any(self._process_area(c.state, name) == span for c in self.candidates)
+        return any(process_area(self.model, c.state, name) == span for c in self.candidates)
 
     def _write_outputs(self, exchange: Exchange) -> Mismatch | None:
         if not self._concerned(DATA_OUT, exchange):
@@ -412,7 +408,7 @@ class Oracle:
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         refused: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in self._expanded(exchange.time).items():
-            if self._process_area(candidate.state, DATA_OUT) != exchange.span():
+            if process_area(self.model, candidate.state, DATA_OUT) != exchange.span():
                 after[candidate] = history
             elif exchange.working_counter:
                 self._add(after, self._fed(candidate, exchange), history)
@@ -486,16 +482,6 @@ class Oracle:
         environment = Environment(state.slots, state.known(), {})
         return self.model.definition(definition)(environment) is True
 
-    def _process_area(self, state: State, name: str) -> tuple[int, int] | None:
-        """Give start and length of process data that are switched on."""
-        if not self._enabled(state, name):
-            return None
-        raw = state.slots[self.model.slots[f"register {name}"]]
-        if not isinstance(raw, int):
-            return None
-        start, length = (field_of(self.model.protocol, name, f, raw) for f in ("start", "length"))
-        return (start, length) if length else None
-
     def _write_mailbox(self, exchange: Exchange) -> Mismatch | None:
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         refused: dict[Candidate, tuple[RuleName, ...]] = {}
@@ -503,7 +489,7 @@ class Oracle:
         patience = self.model.parameter("request_timeout")
         recent = exchange.time - self.written <= patience
         for candidate, history in self._expanded(exchange.time).items():
-            area = self._area(candidate.state, MAIN_OUT)
+            area = mailbox_area(self.model, candidate.state, MAIN_OUT)
             if area is None or not _covers_end(area, exchange):
                 after[candidate] = history
                 continue
@@ -593,13 +579,15 @@ class Oracle:
         before = self._expanded(exchange.time)
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in before.items():
-            for state in self._seen(register, candidate.state, raw):
+            for state in seen(self.model, register, candidate.state, raw):
                 after.setdefault(replace(candidate, state=state), history)
         if after:
             self.candidates = after
             return None
         expected = {
-            register_words(self.model, register.name, self._shown(register, candidate.state)): None
+            register_words(
+                self.model, register.name, shown_register(self.model, register, candidate.state)
+            ): None
             for candidate in before
         }
         observed = register_words(
@@ -607,25 +595,12 @@ class Oracle:
             register.name,
             {v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views},
         )
-        rules = _last(before, self._machines_of(register.name))
+        rules = _last(before, machines_of(self.model, register.name))
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
         found = self._mismatch(
             exchange, register.name, tuple(expected), observed, rules, register.clauses
         )
         return replace(found, reasons=self._reasons(refused) if refused else ())
-
-    def _names(self, expression: Expression) -> Iterator[str]:
-        """Give the names of an expression and of the definitions that it uses."""
-        for path in names_in(expression):
-            definition = self.model.protocol.definitions.get(path)
-            if definition is None:
-                yield path
-            else:
-                yield from self._names(definition.value)
-
-    def _shown(self, register: Register, state: State) -> dict[str, Value]:
-        environment = Environment(state.slots, {}, {})
-        return {view.name: view.present(environment) for view in self.model.views[register.name]}
 
     def _read_inputs(self, exchange: Exchange) -> Mismatch | None:
         if not self._concerned(DATA_IN, exchange):
@@ -634,11 +609,11 @@ class Oracle:
         wrong: dict[Candidate, tuple[RuleName, ...]] = {}
         words: dict[str, Word] = {}
         for candidate, history in self._expanded(exchange.time).items():
-            if self._process_area(candidate.state, DATA_IN) != exchange.span():
+            if process_area(self.model, candidate.state, DATA_IN) != exchange.span():
                 after[candidate] = history
             elif exchange.working_counter:
-                for state in self._decided(candidate.state, exchange.data):
-                    odd = self._odd_words(state, exchange.data)
+                for state in decided(self.model, candidate.state, exchange.data):
+                    odd = odd_words(self.model, state, exchange.data)
                     (wrong if odd else after)[replace(candidate, state=state)] = history
                     words |= odd
             else:
@@ -654,90 +629,22 @@ class Oracle:
             observed = "refused: working counter 0"
             return self._mismatch(exchange, "inputs", expected, observed, rules, clauses)
         told = (
-            register_words(self.model, name, self._worded(candidate.state, name))
+            register_words(self.model, name, shown_fields(self.model, candidate.state, name))
             for candidate in wrong
             for name in words
         )
-        observed = "; ".join(said for name, said in self.words_in(exchange.data) if name in words)
+        observed = "; ".join(
+            said
+            for name, said in words_in(self.model, self.example(), exchange.data)
+            if name in words
+        )
         clauses = tuple(clause for word in words.values() for clause in word.clauses)
-        rules = _last(wrong, {machine for name in words for machine in self._machines_of(name)})
+        rules = _last(
+            wrong, {machine for name in words for machine in machines_of(self.model, name)}
+        )
         return self._mismatch(
             exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
         )
-
-    def _decided(self, state: State, image: bytes) -> list[State]:
-        """Give the states that one stands for in which machines are not known that words show."""
-        states = [state]
-        for name, _ in self.words_in(image):
-            for machine in self._machines_of(name):
-                slot = self.model.slots[f"{machine}.state"]
-                if isinstance(state.slots[slot], Pattern):
-                    values = self.model.state_names(machine)
-                    states = [each.having(slot, value) for each in states for value in values]
-        return states
-
-    def _machines_of(self, name: str) -> set[str]:
-        """Give the machines of which a register or a word shows something."""
-        paths = (p for view in self.model.views[name] for p in self._names(view.expression))
-        return {path.partition(".")[0] for path in paths} & set(self.model.protocol.machines)
-
-    def _odd_words(self, state: State, image: bytes) -> dict[str, Word]:
-        """Give the words in the inputs that are not what the state shows."""
-        environment = Environment(state.slots, state.known(), {})
-        found = {}
-        for mapped in self.model.image.layout(environment, INPUTS) or ():
-            shown = None if mapped.key is None else self.model.dictionary.shown.get(mapped.key)
-            raw = taken_bits(image, mapped)
-            if shown is None or mapped.key is None or raw is None:
-                continue
-            word = self.model.words[mapped.key]
-            if not admits(shown(environment), raw.to_bytes(word.size, "little")):
-                found[word.name] = word
-        return found
-
-    def _worded(self, state: State, name: str) -> dict[str, Value]:
-        environment = Environment(state.slots, state.known(), {})
-        shown = {view.name: view.present(environment) for view in self.model.views[name]}
-        return {field: value for field, value in shown.items() if not is_any(value)}
-
-    def _seen(self, register: Register, state: State, raw: int) -> list[State]:
-        """Give the states after `raw` was read, none where the state does not allow it."""
-        environment = Environment(state.slots, {}, {})
-        views = self.model.views[register.name]
-        shown = [(view, view.present(environment)) for view in views]
-        if environment.undecided:
-            choice = min(environment.undecided)
-            slot = self.model.slots[f"choice {choice}"]
-            return [
-                seen
-                for alternative in self.model.protocol.choices[choice].alternatives
-                for seen in self._seen(register, state.having(slot, alternative.name), raw)
-            ]
-        for view, value in shown:
-            observed: int = raw >> view.low & ((1 << view.width) - 1)
-            if view.truth:
-                observed = bool(observed)
-            if not admits(value, observed):
-                return []
-            if isinstance(value, Pattern) and view.condition is None:
-                state = self._narrowed(view, state, observed)
-        return [state]
-
-    def _narrowed(self, view: View, state: State, observed: int) -> State:
-        """Give the state in which the variable that the field shows has the value observed."""
-        expression: Expression = view.expression
-        environment = Environment(state.slots, {}, {})
-        while isinstance(expression, Conditional):
-            holds = self.model.expression(expression.condition, Scope(), None)(environment)
-            if isinstance(holds, Pattern):
-                return state
-            expression = expression.then if holds else expression.otherwise
-        if not isinstance(expression, Name):
-            return state
-        ref = resolve(self.model.protocol, expression.path, Scope())
-        if isinstance(ref, VariableRef | StateRef):
-            return state.having(self.model.slot(ref), observed)
-        return state
 
     def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
@@ -974,17 +881,6 @@ class Oracle:
     def _absent(self, candidate: Candidate) -> bool:
         absent = self.model.definition("mailbox_absent")
         return absent(Environment(candidate.state.slots, {}, {})) is True
-
-    def _area(self, state: State, name: str) -> tuple[int, int] | None:
-        raw = state.slots[self.model.slots[f"register {name}"]]
-        if not isinstance(raw, int):
-            parameter = "mailbox_out" if name == MAIN_OUT else "mailbox_in"
-            return self.model.parameter(parameter, "start"), self.model.parameter(
-                parameter, "length"
-            )
-        start = field_of(self.model.protocol, name, "start", raw)
-        length = field_of(self.model.protocol, name, "length", raw)
-        return (start, length) if length else None
 
     def _mismatch(
         self,

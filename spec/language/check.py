@@ -679,6 +679,7 @@ class _Checker:
             and (table := self._protocol.tables.get(expected.table)) is not None
             and table.closed
             and value not in {row.value for row in table.rows}
+            and not self._closed_elsewhere(table, at)
         ):
             self._note(
                 Code.ECS201,
@@ -686,6 +687,11 @@ class _Checker:
                 f"the closed table `{table.name}` has no value {value:#x}",
                 "take one of its rows",
             )
+
+    def _closed_elsewhere(self, table: CodeTable, at: Span) -> bool:
+        """Tell whether another text closed the table: the standard may still ask for its values."""
+        closing = self._protocol.closed.get(table.name)
+        return closing is not None and closing.at.file != at.file
 
     def _name(self, name: Name, scope: Scope, expected: Kind | None) -> Kind | None:
         try:

@@ -157,6 +157,7 @@ def sheets(protocol: Protocol) -> tuple[Sheet, ...]:
         _properties(protocol),
         *tables,
         _objects(protocol),
+        _esi(protocol),
         _words(protocol),
         _process_data(protocol),
         _changes(protocol),
@@ -376,7 +377,10 @@ def _choices(protocol: Protocol) -> Sheet:
         pin = protocol.pins.get(choice.name)
         names = tuple(alternative.name for alternative in choice.alternatives)
         cited = choice.clauses if pin is None else tuple(dict.fromkeys(pin.clauses))
-        way = "open" if pin is None else pin.alternative
+        left = protocol.opened.get(choice.name)
+        cited = cited if left is None else left.clauses
+        silent = "open" if left is None else "open: the manual is silent"
+        way = silent if pin is None else pin.alternative
         rows.append((choice.name, choice.wording, names, way, cited))
     title = "choices (implementation conformance statement)"
     return Sheet("choices", title, ("choice", "meaning", "ways", "pinned", "clauses"), tuple(rows))
@@ -439,6 +443,11 @@ def _objects(protocol: Protocol) -> Sheet:
     others = "there are no others" if protocol.dictionary.closed else "there may be others"
     columns = ("object", "name", "type", "access", "states", "range", "default", "clauses")
     return Sheet("objects", f"objects ({others})", columns, rows)
+
+
+def _esi(protocol: Protocol) -> Sheet:
+    rows = tuple((entry.path, str(entry.value), entry.clauses) for entry in protocol.esi)
+    return Sheet("esi", "device description (ESI)", ("element", "value", "clauses"), rows)
 
 
 def _words(protocol: Protocol) -> Sheet:

@@ -33,6 +33,7 @@ from ecatspec.spec.language.ir import (
     Conditional,
     Definition,
     Dictionary,
+    EsiEntry,
     Example,
     Expression,
     Extend,
@@ -52,6 +53,7 @@ from ecatspec.spec.language.ir import (
     Named,
     ObjectEntry,
     OneOf,
+    Open,
     Parameter,
     Pin,
     Protocol,
@@ -506,6 +508,7 @@ def test_newer_paragraph_is_refused(body: str, source: str, code: str) -> None:
         ("objects 0x2000 : 0 a bytes(true) rw", "ECS405"),
         # what changes the standard has no effect in a text of the standard
         ("pin refused_in_op = stay [X-01]", "ECS402"),
+        ("open refused_in_op [X-01]", "ECS402"),
         ("replace field mailbox.length [X-01] reply 7", "ECS402"),
         ('fault wrong "x" [X-01] remove rule al.to_init [X-01]', "ECS402"),
         (
@@ -521,6 +524,15 @@ def test_newer_declaration_is_refused(declaration: str, code: str) -> None:
 @pytest.mark.parametrize(
     ("statement", "code"),
     [
+        ("open nothing [M-01]", "ECS401"),
+        ("open refused_in_op [M-01] pin refused_in_op = stay [M-01]", "ECS402"),
+        ("pin refused_in_op = stay [M-01] open refused_in_op [M-01]", "ECS402"),
+        ("open refused_in_op [M-02]", "ECS104"),
+        ('esi "Vendor/Id" = 1 [M-02]', "ECS104"),
+        ('esi "Vendor/Id" = 1 "Vendor/Id" = 2', "ECS102"),
+        ('manual "b" "c" claims M-1 .. N-2', "ECS001"),
+        ('manual "b" "c" claims M-01 .. M-2', "ECS001"),
+        ('manual "b" "c" claims M-2 .. M-1', "ECS001"),
         ("extend nothing variable more : u8 = 0", "ECS401"),
         ("extend al variable code : u8 = 0", "ECS102"),
         ("extend al input request()", "ECS102"),
@@ -1141,9 +1153,11 @@ fields = st.builds(
     st.none() | st.builds(Shows, short, optional),
     some_ids,
 )
+claims = st.integers(0, 3).map(lambda count: tuple(f"A-B-{n:02}" for n in range(8, 8 + count)))
 declarations = st.one_of(
-    st.builds(Clause, ids, st.sampled_from(Level), words, words, some_ids),
-    st.builds(Manual, words, words),
+    st.builds(Clause, ids, st.sampled_from(Level), words, words, some_ids, st.none() | words),
+    st.builds(Manual, words, words, claims),
+    st.builds(EsiEntry, words, st.integers(-99, 2**32) | words, some_ids),
     st.builds(
         CodeTable,
         names,
@@ -1182,6 +1196,7 @@ declarations = st.one_of(
     st.builds(Definition, names, words, expressions, one_id),
     entries(),
     st.builds(Pin, names, names, one_id),
+    st.builds(Open, names, one_id),
     st.builds(Close, names, many(short, 1), one_id),
     changes,
     st.builds(Fault, names, words, one_id, st.none() | names, many(changes)),

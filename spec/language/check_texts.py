@@ -15,14 +15,17 @@ from ecatspec.spec.language.ir import (
     Condition,
     Definition,
     Dictionary,
+    EsiEntry,
     Example,
     Extend,
     Fault,
     Frame,
+    Level,
     Machine,
     Manual,
     Name,
     ObjectEntry,
+    Open,
     Parameter,
     Pin,
     Property,
@@ -45,18 +48,19 @@ LAYOUT_WORDS: Final = ("reserved", "padding", "data")
 """Names that several frames around each other may use: nobody refers to them."""
 
 _Statement: TypeAlias = (
-    Pin | Close | SetParameter | Replace | Remove | Extend | ReplaceField | Dictionary
+    Pin | Open | Close | SetParameter | Replace | Remove | Extend | ReplaceField | Dictionary
 )
 
 
 def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
     """What is wrong with the texts before they are put together: said twice, cited, not cited."""
     declarations = [declaration for text in texts for declaration in text.declarations]
-    declared = {clause.id for clause in declarations if isinstance(clause, Clause)}
+    clauses = {clause.id: clause for clause in declarations if isinstance(clause, Clause)}
     findings = [*_twice(texts), *_circles(declarations), *_in_vain(texts)]
+    findings += _unreasoned(clauses.values())
     for declaration in declarations:
-        for name, clauses, at in _citations(declaration):
-            if not clauses and name.startswith(("rule", "gap")):
+        for name, cited, at in _citations(declaration):
+            if not cited and name.startswith(("rule", "gap")):
                 findings.append(
                     Diagnostic(
                         Code.ECS105,
@@ -70,12 +74,36 @@ def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
                     Code.ECS104,
                     at,
                     f"no text declares clause {clause}, which {name} cites",
-                    f"declare it{near(clause, declared, ', or cite ')}",
+                    f"declare it{near(clause, clauses, ', or cite ')}",
                 )
-                for clause in clauses
-                if clause not in declared
+                for clause in cited
+                if clause not in clauses
+            )
+            findings.extend(
+                Diagnostic(
+                    Code.ECS407,
+                    at,
+                    f"clause {clause}, which {name} cites, cannot be observed",
+                    "cite another clause or give it another level",
+                )
+                for clause in cited
+                if clause in clauses
+                and clauses[clause].level is Level.UNOBSERVABLE
+                and not isinstance(declaration, Anomaly)
             )
     return findings
+
+
+def _unreasoned(clauses: Iterable[Clause]) -> Iterator[Diagnostic]:
+    """What cannot be observed says why."""
+    for clause in clauses:
+        if clause.level is Level.UNOBSERVABLE and clause.because is None:
+            yield Diagnostic(
+                Code.ECS407,
+                clause.at,
+                f"clause {clause.id} says no reason why it cannot be observed",
+                'add `because "..."` at its end',
+            )
 
 
 def unused(texts: Sequence[SourceText]) -> list[Diagnostic]:
@@ -91,7 +119,7 @@ def unused(texts: Sequence[SourceText]) -> list[Diagnostic]:
             "cite it or take it away",
         )
         for d in declarations
-        if (isinstance(d, Clause) and d.id not in cited)
+        if (isinstance(d, Clause) and d.id not in cited and d.level is not Level.UNOBSERVABLE)
         or (isinstance(d, Definition) and d.name not in used)
     ]
 
@@ -141,8 +169,12 @@ def _key(declaration: Declaration) -> tuple[str, str]:
             key = "table", declaration.name
         case ObjectEntry():
             key = "object", f"{declaration.index:#06x}:{declaration.subindex}"
+        case EsiEntry():
+            key = "esi entry", declaration.path
         case Pin():
             key = "pin", declaration.choice
+        case Open():
+            key = "open choice", declaration.choice
         case Close():
             key = "closed", declaration.table
         case SetParameter():

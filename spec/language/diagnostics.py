@@ -46,6 +46,8 @@ class Code(Enum):
     ECS403 = "a closed table leaves a rule without a code"
     ECS404 = "a clause of a device text names no claim"
     ECS405 = "the values of an object contradict each other"
+    ECS406 = "the claims of a manual and the clauses do not fit together"
+    ECS407 = "a clause that cannot be observed is cited, or says no reason"
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,11 +28,15 @@ NOWHERE = Span("<built in>", 0, 0)
 
 
 class Level(StrEnum):
-    """How strongly a clause demands: a breach of must fails, of should warns, may never blames."""
+    """How strongly a clause demands: a breach of must fails, of should warns, may never blames.
+
+    What is `unobservable` does not show in the protocol: nothing is judged by it.
+    """
 
     MUST = "must"
     SHOULD = "should"
     MAY = "may"
+    UNOBSERVABLE = "unobservable"
 
 
 class Access(StrEnum):
@@ -207,22 +211,27 @@ Expression: TypeAlias = Literal | Name | Unary | Binary | In | Conditional | Cal
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """One demand: id, level, wording (own words), source (document and section) and claims."""
+    """One demand: id, level, wording (own words), source (document and section) and claims.
+
+    `because` says why no case exercises it.
+    """
 
     id: str
     level: Level
     wording: str
     source: str
     claims: tuple[str, ...] = ()
+    because: str | None = None
     at: Span = field(default=NOWHERE, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Manual:
-    """The document that a device text is made from."""
+    """The document that a device text is made from; `claims` are all it states, in its order."""
 
     file: str
     edition: str
+    claims: tuple[str, ...] = ()
     at: Span = field(default=NOWHERE, compare=False)
 
 
@@ -598,6 +607,15 @@ class Pin:
 
 
 @dataclass(frozen=True, slots=True)
+class Open:
+    """A device text leaves a choice open: its manual is silent."""
+
+    choice: str
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Close:
     """A device text closes a code table: only these values (names or numbers) ever appear."""
 
@@ -716,6 +734,16 @@ class Dictionary:
     at: Span = field(default=NOWHERE, compare=False)
 
 
+@dataclass(frozen=True, slots=True)
+class EsiEntry:
+    """What a manual says of the ESI file: the path of an element or attribute, and its value."""
+
+    path: str
+    value: int | str
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
 Declaration: TypeAlias = (
     Clause
     | Manual
@@ -729,7 +757,9 @@ Declaration: TypeAlias = (
     | Definition
     | Property
     | ObjectEntry
+    | EsiEntry
     | Pin
+    | Open
     | Close
     | SetParameter
     | Replace
@@ -784,9 +814,11 @@ class Protocol:
     properties: dict[str, Property]
     reasons: dict[str, Reason]
     pins: dict[str, Pin]
+    opened: dict[str, Open]
     closed: dict[str, Close]
     objects: tuple[ObjectEntry, ...]
     dictionary: Dictionary
+    esi: tuple[EsiEntry, ...]
     anomalies: tuple[Anomaly, ...]
     examples: tuple[Example, ...]
     replaced: tuple[Replace | Remove | Extend | ReplaceField, ...]

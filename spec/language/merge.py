@@ -17,6 +17,7 @@ from ecatspec.spec.language.ir import (
     Conditional,
     Definition,
     Dictionary,
+    EsiEntry,
     Example,
     Extend,
     Frame,
@@ -29,6 +30,7 @@ from ecatspec.spec.language.ir import (
     Named,
     ObjectEntry,
     OneOf,
+    Open,
     Parameter,
     Pin,
     Property,
@@ -58,7 +60,7 @@ if TYPE_CHECKING:
         Update,
     )
 
-_STATEMENTS = (Pin, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
+_STATEMENTS = (Pin, Open, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
 _Named: TypeAlias = Variable | Input | Rule | Gap
 _CHANGES = (Replace, Remove, Extend, ReplaceField)
 
@@ -95,9 +97,11 @@ def _declared(texts: Sequence[SourceText]) -> Protocol:
         properties=_named(_of(declared, Property)),
         reasons=_named(_of(declared, Reason)),
         pins={},
+        opened={},
         closed={},
         objects=_of(declared, ObjectEntry),
         dictionary=dictionaries[-1] if dictionaries else Dictionary(closed=False, clauses=()),
+        esi=_of(declared, EsiEntry),
         anomalies=_of(declared, Anomaly),
         examples=_of(declared, Example),
         replaced=(),
@@ -116,6 +120,7 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
     if own.manuals:
         merge.unclaimed(own.clauses.values())
         merge.unfounded(text.declarations, standard.clauses | own.clauses)
+        merge.unaccounted(own.manuals, own.clauses.values())
     merge.objects(standard.objects, own.objects)
     merge.words(standard.words, own.words.values())
     changed = tuple(d for d in text.declarations if isinstance(d, _CHANGES))
@@ -136,9 +141,11 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         properties=standard.properties | own.properties,
         reasons=merge.reasons | own.reasons,
         pins=merge.pins,
+        opened=merge.opened,
         closed=merge.closed,
         objects=_objects(standard.objects, own.objects),
         dictionary=own.dictionary if own.dictionary.at != NOWHERE else standard.dictionary,
+        esi=standard.esi + own.esi,
         anomalies=standard.anomalies + own.anomalies,
         examples=standard.examples + own.examples,
         replaced=standard.replaced + changed,
@@ -210,6 +217,7 @@ class _Merge:
         self.frames = standard.frames | own.frames
         self.reasons = dict(standard.reasons)
         self.pins = dict(standard.pins)
+        self.opened = dict(standard.opened)
         self.closed = dict(standard.closed)
 
     def take(self, declaration: Declaration) -> None:
@@ -217,6 +225,8 @@ class _Merge:
         match declaration:
             case Pin():
                 self._pin(declaration)
+            case Open():
+                self._leave_open(declaration)
             case SetParameter():
                 self._set(declaration)
             case Replace():
@@ -253,6 +263,21 @@ class _Merge:
                     "no clause that is cited here names a claim of the manual",
                     "cite a clause of the device text",
                 )
+
+    def unaccounted(self, manuals: Iterable[Manual], clauses: Iterable[Clause]) -> None:
+        """Each claim of a manual that counts them has a clause, and there are no others."""
+        carried = {claim: clause for clause in clauses for claim in clause.claims}
+        stated = {claim for manual in manuals for claim in manual.claims}
+        for manual in manuals:
+            for claim in manual.claims:
+                if claim not in carried:
+                    what = f"no clause carries claim {claim} of the manual"
+                    self._find(Code.ECS406, manual.at, what, "add it to the `claims` of a clause")
+        for claim, clause in carried.items():
+            if stated and claim not in stated:
+                what = f"clause {clause.id} carries claim {claim}, which the manual does not count"
+                remedy = f"write one of {min(stated)} .. {max(stated)}"
+                self._find(Code.ECS406, clause.at, what, remedy)
 
     def objects(self, standard: Iterable[ObjectEntry], own: Iterable[ObjectEntry]) -> None:
         """An object of the standard is said again only where it is another one."""
@@ -299,7 +324,25 @@ class _Merge:
                 f"choice `{pin.choice}` has no alternative `{pin.alternative}`",
                 f"take one of {_list(names)}",
             )
+        if pin.choice in self.opened:
+            self._pinned_and_open(pin.choice, pin.at)
         self.pins[pin.choice] = pin
+
+    def _leave_open(self, left: Open) -> None:
+        if left.choice not in self.choices:
+            self._find(
+                Code.ECS401,
+                left.at,
+                f"there is no choice `{left.choice}`",
+                f"leave one of {_list(self.choices)} open",
+            )
+        if left.choice in self.pins:
+            self._pinned_and_open(left.choice, left.at)
+        self.opened[left.choice] = left
+
+    def _pinned_and_open(self, choice: str, at: Span) -> None:
+        what = f"choice `{choice}` is pinned and left open"
+        self._find(Code.ECS402, at, what, "keep one of the two lines")
 
     def _set(self, setting: SetParameter) -> None:
         parameter = self.parameters.get(setting.name)

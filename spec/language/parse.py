@@ -35,6 +35,7 @@ from ecatspec.spec.language.ir import (
     Declaration,
     Definition,
     Dictionary,
+    EsiEntry,
     Example,
     Expression,
     Extend,
@@ -54,6 +55,7 @@ from ecatspec.spec.language.ir import (
     Named,
     ObjectEntry,
     OneOf,
+    Open,
     Parameter,
     Pin,
     Property,
@@ -96,7 +98,7 @@ _WORDS: Final = {
     "STRING": 'a wording in "quotes"',
     "ID": "a clause id such as AL-03",
     "HEX": 'bytes such as hex"01 02"',
-    "LEVEL": "must, should or may",
+    "LEVEL": "must, should, may or unobservable",
     "OPENNESS": "open or closed",
     "INPUT_KIND": "`frame` or `write`",
     "ACCESS": "ro, wo, rw or none",
@@ -119,6 +121,7 @@ _DECLARATIONS: Final = frozenset(
         "CONDITION",
         "DEFINE",
         "DICTIONARY",
+        "ESI",
         "EXAMPLE",
         "EXTEND",
         "FAULT",
@@ -126,6 +129,7 @@ _DECLARATIONS: Final = frozenset(
         "MACHINE",
         "MANUAL",
         "OBJECTS",
+        "OPEN",
         "PARAMETER",
         "PIN",
         "PROPERTY",
@@ -308,6 +312,10 @@ class _Children:
             return None
         return self.word()
 
+    def optional_string(self) -> str | None:
+        word = self.optional_word()
+        return None if word is None else word[1:-1]
+
     def optional_number(self) -> int | None:
         word = self.optional_word()
         return None if word is None else _number(word)
@@ -359,9 +367,9 @@ class _Builder:
         extends = head.word() if header.data == "device_header" else None
         declarations: list[Declaration] = []
         for child in children.trees():
-            if child.data == "objects":
+            if build := self._blocks.get(str(child.data)):
                 rows, _ = self._open(child)
-                declarations.extend(self._object_row(row) for row in rows.trees())
+                declarations.extend(build(self, row) for row in rows.trees())
             else:
                 declarations.append(self._declarations[str(child.data)](self, child))
         faults = header.data == "faults_header"
@@ -375,11 +383,24 @@ class _Builder:
         wording, source = children.string(), children.string()
         claims = children.given("claims")
         listed = () if claims is None else self._ids(_Children(claims, at).tree())
-        return Clause(name, level, wording, source, listed, at)
+        return Clause(name, level, wording, source, listed, children.optional_string(), at)
 
     def _manual(self, tree: Tree[Token]) -> Manual:
         children, at = self._open(tree)
-        return Manual(children.string(), children.string(), at)
+        file, edition = children.string(), children.string()
+        first, last = children.optional_word(), children.optional_word()
+        claims = () if first is None or last is None else self._from_to(first, last, at)
+        return Manual(file, edition, claims, at)
+
+    def _from_to(self, first: str, last: str, at: Span) -> tuple[str, ...]:
+        """All ids from one to another: the same letters, then a number of the same length."""
+        (start, _, low), (prefix, _, high) = first.rpartition("-"), last.rpartition("-")
+        numbers = low.isdigit() and high.isdigit() and len(low) == len(high)
+        if start != prefix or not numbers or int(low) > int(high):
+            what = f"{first} .. {last} is no row of claims"
+            _refuse(Code.ECS001, at, what, "write the first and the last: AKD-001 .. AKD-469")
+        width = len(low)
+        return tuple(f"{start}-{number:0{width}}" for number in range(int(low), int(high) + 1))
 
     def _ids(self, tree: Tree[Token] | None) -> tuple[str, ...]:
         if tree is None:
@@ -550,6 +571,17 @@ class _Builder:
     def _dictionary(self, tree: Tree[Token]) -> Dictionary:
         children, at = self._open(tree)
         return Dictionary(children.word() == "closed", self._ids(children.given("id_list")), at)
+
+    def _esi_row(self, tree: Tree[Token]) -> EsiEntry:
+        children, at = self._open(tree)
+        path, value = children.string(), children.tree()
+        text = value.data == "string_value"
+        given = _Children(value, at).string() if text else self._signed(value)
+        return EsiEntry(path, given, self._ids(children.given("id_list")), at)
+
+    def _open_choice(self, tree: Tree[Token]) -> Open:
+        children, at = self._open(tree)
+        return Open(children.word(), self._ids(children.tree()), at)
 
     def _example(self, tree: Tree[Token]) -> Example:
         children, at = self._open(tree)
@@ -843,6 +875,10 @@ class _Builder:
         "replace": _replace,
         "replace_field": _replace_field,
     }
+    _blocks: Final[dict[str, Callable[[_Builder, Tree[Token]], Declaration]]] = {
+        "esi": _esi_row,
+        "objects": _object_row,
+    }
     _declarations: Final[dict[str, Callable[[_Builder, Tree[Token]], Declaration]]] = {
         "anomaly": _anomaly,
         "choice": _choice,
@@ -856,6 +892,7 @@ class _Builder:
         "frame": _frame,
         "machine": _machine,
         "manual": _manual,
+        "open_choice": _open_choice,
         "parameter": _parameter,
         "pin": _pin,
         "property": _property,

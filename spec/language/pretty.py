@@ -24,6 +24,7 @@ from ecatspec.spec.language.ir import (
     Conditional,
     Definition,
     Dictionary,
+    EsiEntry,
     Example,
     Extend,
     Fault,
@@ -40,6 +41,7 @@ from ecatspec.spec.language.ir import (
     Named,
     ObjectEntry,
     OneOf,
+    Open,
     Parameter,
     Pin,
     Property,
@@ -69,7 +71,17 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Declaration, Expression, FrameField, RegisterField, Update
 
 _Line: TypeAlias = (
-    Clause | Manual | Parameter | SetParameter | ObjectEntry | Dictionary | Pin | Close | Remove
+    Clause
+    | Manual
+    | Parameter
+    | SetParameter
+    | ObjectEntry
+    | EsiEntry
+    | Dictionary
+    | Pin
+    | Open
+    | Close
+    | Remove
 )
 """Declarations of one line, which stand under each other without an empty line."""
 
@@ -257,6 +269,8 @@ def _lines(members: Sequence[Declaration]) -> list[str]:
     rows = [_cells(member) for member in members]
     if isinstance(members[0], ObjectEntry):
         return ["objects", *_columns(rows, "  ")]
+    if isinstance(members[0], EsiEntry):
+        return ["esi", *_columns(rows, "  ")]
     if isinstance(members[0], Clause):
         return ["  ".join(filter(None, row)) for row in _padded(rows)]
     return _columns(rows)
@@ -270,11 +284,13 @@ def _padded(rows: Sequence[Sequence[str]]) -> Iterable[Sequence[str]]:
 
 def _cells(member: Declaration) -> tuple[str, ...]:
     match member:
-        case Clause(name, level, wording, source, claims):
+        case Clause(name, level, wording, source, claims, because):
             cited = f"claims {_ids(claims)}" if claims else ""
-            return f"clause {name}", level.value, f'"{wording}"', f'source "{source}"', cited
-        case Manual(file, edition):
-            return f'manual "{file}"', f'"{edition}"'
+            why = "" if because is None else f'because "{because}"'
+            return f"clause {name}", level.value, f'"{wording}"', f'source "{source}"', cited, why
+        case Manual(file, edition, claims):
+            row = f"claims {claims[0]} .. {claims[-1]}" if claims else ""
+            return f'manual "{file}"', f'"{edition}"', row
         case Parameter(name, kind, value, clauses):
             word = f": {pretty_type(kind)}"
             return f"parameter {name}", word, f"= {_parameter_value(value, kind)}", _ids(clauses)
@@ -282,10 +298,15 @@ def _cells(member: Declaration) -> tuple[str, ...]:
             return f"parameter {name}", f"= {_parameter_value(value, None)}", _ids(clauses)
         case ObjectEntry():
             return _object_cells(member)
+        case EsiEntry(path, value, clauses):
+            shown = f'"{value}"' if isinstance(value, str) else str(value)
+            return f'"{path}"', f"= {shown}", _ids(clauses)
         case Dictionary(closed, clauses):
             return f"dictionary {'closed' if closed else 'open'}", _ids(clauses)
         case Pin(choice, alternative, clauses):
             return f"pin {choice}", f"= {alternative}", _ids(clauses)
+        case Open(choice, clauses):
+            return f"open {choice}", _ids(clauses)
         case Close(table, values, clauses):
             return f"closed {table} {_set(values)}", _ids(clauses)
         case Remove(machine, rule, clauses):

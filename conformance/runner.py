@@ -72,7 +72,10 @@ class Runner:
         for number, case in enumerate(cases):
             if progress is not None:
                 progress(number, total, case.name)
-            self.verdicts.append(replace(self.judge(case), flag=case.flag))
+            verdict = self.judge(case)
+            rules = tuple(sorted(map(str, self.session.oracle.certain_rules())))
+            shown = () if verdict.outcome is Outcome.SKIPPED else rules
+            self.verdicts.append(replace(verdict, flag=case.flag, rules=shown))
 
     def judge(self, case: Case) -> Verdict:
         """Run one case from power-on."""

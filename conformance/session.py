@@ -54,6 +54,8 @@ _SLOWEST = 500_000
 """Microseconds between two writes of the same process data at most."""
 _OFTEN = 4
 """Writes of process data in the time of the watchdog."""
+WATCHED = ("al_status", "al_status_code", f"{MAIN_IN}_pdi_control", f"{MAIN_IN}_status")
+"""The registers that are read after every stimulus: what the device shows."""
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
 
@@ -273,9 +275,8 @@ class Session:
 
     def _look(self, *, unread: bool = False) -> None:
         # the code is judged only once the state is known, so the state comes first
-        self._read_register("al_status")
-        self._read_register("al_status_code")
-        self._read_register(f"{MAIN_IN}_pdi_control")
+        for name in WATCHED[:-1]:
+            self._read_register(name)
         self._read_inputs()
         if unread:
             self._full()
@@ -293,7 +294,7 @@ class Session:
                 return
 
     def _full(self) -> bool:
-        status = self._read_register(f"{MAIN_IN}_status")
+        status = self._read_register(WATCHED[-1])
         return bool(field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status))
 
     def _read_register(self, name: str) -> int:

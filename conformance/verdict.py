@@ -47,6 +47,8 @@ class Verdict:
     signature: str = ""
     flag: str = ""
     """What was broken on purpose, a key of `families.NOTES`."""
+    rules: tuple[str, ...] = ()
+    """The rules that the device surely went by."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,7 @@ from ecatspec.spec.language.ir import (
     CodeTable,
     Condition,
     Conditional,
+    Confirm,
     Definition,
     Dictionary,
     EsiEntry,
@@ -294,6 +295,25 @@ def leaves(node: object) -> Iterator[object]:
         yield node
 
 
+def test_what_a_manual_confirms_cites_it_beside_the_standard() -> None:
+    text = (
+        'device mine extends standard "x" clause M-01 must "a" source "b"'
+        " confirm register al_control, rule al.to_init, row al_state.INIT, frame mailbox,"
+        " choice refused_in_op, parameter mailbox_out [M-01]"
+    )
+    protocol = compile_texts([BASE, parse_text(text, "text")], "mine")
+    rule = next(r for r in protocol.machines["al"].rules if r.name == "to_init")
+    row = protocol.tables["al_state"].rows[0]
+    named = (
+        protocol.registers["al_control"],
+        protocol.frames["mailbox"],
+        protocol.choices["refused_in_op"],
+        protocol.parameters["mailbox_out"],
+    )
+    assert row.clauses == ("M-01",)
+    assert all(item.clauses == ("BASE-01", "M-01") for item in (rule, *named))
+
+
 def test_shipped_standard_is_without_findings() -> None:
     texts = [parsed(path) for path in SHIPPED if path.parent.name == "standard"]
     assert check_texts(texts) == []
@@ -525,6 +545,11 @@ def test_newer_declaration_is_refused(declaration: str, code: str) -> None:
     ("statement", "code"),
     [
         ("open nothing [M-01]", "ECS401"),
+        ("confirm register nothing [M-01]", "ECS401"),
+        ("confirm rule al.nothing [M-01]", "ECS401"),
+        ("confirm row nothing.no_error [M-01]", "ECS401"),
+        ("confirm rule to_init [M-01]", "ECS401"),
+        ("confirm register al_control [M-02]", "ECS104"),
         ("open refused_in_op [M-01] pin refused_in_op = stay [M-01]", "ECS402"),
         ("pin refused_in_op = stay [M-01] open refused_in_op [M-01]", "ECS402"),
         ("open refused_in_op [M-02]", "ECS104"),
@@ -1153,6 +1178,7 @@ fields = st.builds(
     st.none() | st.builds(Shows, short, optional),
     some_ids,
 )
+kinds = st.sampled_from(["register", "rule", "row", "define", "property"])
 claims = st.integers(0, 3).map(lambda count: tuple(f"A-B-{n:02}" for n in range(8, 8 + count)))
 declarations = st.one_of(
     st.builds(Clause, ids, st.sampled_from(Level), words, words, some_ids, st.none() | words),
@@ -1197,6 +1223,7 @@ declarations = st.one_of(
     entries(),
     st.builds(Pin, names, names, one_id),
     st.builds(Open, names, one_id),
+    st.builds(Confirm, many(st.tuples(kinds, paths), 1), one_id),
     st.builds(Close, names, many(short, 1), one_id),
     changes,
     st.builds(Fault, names, words, one_id, st.none() | names, many(changes)),

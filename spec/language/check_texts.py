@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic, near
@@ -13,6 +12,7 @@ from ecatspec.spec.language.ir import (
     Close,
     CodeTable,
     Condition,
+    Confirm,
     Definition,
     Dictionary,
     EsiEntry,
@@ -37,7 +37,7 @@ from ecatspec.spec.language.ir import (
     SetParameter,
     Word,
 )
-from ecatspec.spec.language.scope import names_in
+from ecatspec.spec.language.scope import names_in, nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -48,7 +48,16 @@ LAYOUT_WORDS: Final = ("reserved", "padding", "data")
 """Names that several frames around each other may use: nobody refers to them."""
 
 _Statement: TypeAlias = (
-    Pin | Open | Close | SetParameter | Replace | Remove | Extend | ReplaceField | Dictionary
+    Pin
+    | Open
+    | Confirm
+    | Close
+    | SetParameter
+    | Replace
+    | Remove
+    | Extend
+    | ReplaceField
+    | Dictionary
 )
 
 
@@ -110,7 +119,7 @@ def unused(texts: Sequence[SourceText]) -> list[Diagnostic]:
     """Clauses that nothing cites and definitions that nothing uses: no error, but a question."""
     declarations = [declaration for text in texts for declaration in text.declarations]
     cited = {c for d in declarations for _, clauses, _ in _citations(d) for c in clauses}
-    used = {name for d in declarations for name in _names_used(d)}
+    used = {node.path for d in declarations for node in nodes_in(d) if isinstance(node, Name)}
     return [
         Diagnostic(
             Code.ECS304,
@@ -122,18 +131,6 @@ def unused(texts: Sequence[SourceText]) -> list[Diagnostic]:
         if (isinstance(d, Clause) and d.id not in cited and d.level is not Level.UNOBSERVABLE)
         or (isinstance(d, Definition) and d.name not in used)
     ]
-
-
-def _names_used(node: object) -> Iterator[str]:
-    """All names in the expressions of a declaration, wherever they stand in it."""
-    if isinstance(node, Name):
-        yield node.path
-    elif isinstance(node, tuple):
-        for part in node:
-            yield from _names_used(part)
-    elif is_dataclass(node):
-        for field in fields(node):
-            yield from _names_used(getattr(node, field.name))
 
 
 def _twice(texts: Sequence[SourceText]) -> Iterator[Diagnostic]:
@@ -175,6 +172,11 @@ def _key(declaration: Declaration) -> tuple[str, str]:
             key = "pin", declaration.choice
         case Open():
             key = "open choice", declaration.choice
+        case Confirm():
+            key = (
+                "confirmation of",
+                ", ".join(f"{kind} {name}" for kind, name in declaration.targets),
+            )
         case Close():
             key = "closed", declaration.table
         case SetParameter():

@@ -616,6 +616,15 @@ class Open:
 
 
 @dataclass(frozen=True, slots=True)
+class Confirm:
+    """A manual says the same as the standard: pairs of kind and name, `rule` and `machine.rule`."""
+
+    targets: tuple[tuple[str, str], ...]
+    clauses: tuple[str, ...]
+    at: Span = field(default=NOWHERE, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
 class Close:
     """A device text closes a code table: only these values (names or numbers) ever appear."""
 
@@ -760,6 +769,7 @@ Declaration: TypeAlias = (
     | EsiEntry
     | Pin
     | Open
+    | Confirm
     | Close
     | SetParameter
     | Replace

@@ -12,9 +12,11 @@ from ecatspec.spec.language.ir import (
     Choice,
     Clause,
     Close,
+    CodeRow,
     CodeTable,
     Condition,
     Conditional,
+    Confirm,
     Definition,
     Dictionary,
     EsiEntry,
@@ -60,7 +62,7 @@ if TYPE_CHECKING:
         Update,
     )
 
-_STATEMENTS = (Pin, Open, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
+_STATEMENTS = (Pin, Open, Confirm, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
 _Named: TypeAlias = Variable | Input | Rule | Gap
 _CHANGES = (Replace, Remove, Extend, ReplaceField)
 
@@ -121,8 +123,8 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         merge.unclaimed(own.clauses.values())
         merge.unfounded(text.declarations, standard.clauses | own.clauses)
         merge.unaccounted(own.manuals, own.clauses.values())
-    merge.objects(standard.objects, own.objects)
-    merge.words(standard.words, own.words.values())
+    merge.same_objects(standard.objects, own.objects)
+    merge.same_words(standard.words, own.words.values())
     changed = tuple(d for d in text.declarations if isinstance(d, _CHANGES))
     protocol = Protocol(
         name=text.name,
@@ -131,14 +133,14 @@ def merge_device(standard: Protocol, text: SourceText) -> tuple[Protocol, list[D
         clauses=standard.clauses | own.clauses,
         tables=merge.tables,
         parameters=merge.parameters,
-        registers=standard.registers | own.registers,
-        words=standard.words | own.words,
+        registers=merge.registers,
+        words=merge.words,
         frames=merge.frames,
         machines=merge.machines,
         choices=merge.choices,
-        conditions=standard.conditions | own.conditions,
-        definitions=standard.definitions | own.definitions,
-        properties=standard.properties | own.properties,
+        conditions=merge.conditions,
+        definitions=merge.definitions,
+        properties=merge.properties,
         reasons=merge.reasons | own.reasons,
         pins=merge.pins,
         opened=merge.opened,
@@ -215,6 +217,11 @@ class _Merge:
         self.machines = standard.machines | own.machines
         self.choices = standard.choices | own.choices
         self.frames = standard.frames | own.frames
+        self.registers = standard.registers | own.registers
+        self.words = standard.words | own.words
+        self.conditions = standard.conditions | own.conditions
+        self.definitions = standard.definitions | own.definitions
+        self.properties = standard.properties | own.properties
         self.reasons = dict(standard.reasons)
         self.pins = dict(standard.pins)
         self.opened = dict(standard.opened)
@@ -227,6 +234,8 @@ class _Merge:
                 self._pin(declaration)
             case Open():
                 self._leave_open(declaration)
+            case Confirm():
+                self._confirm(declaration)
             case SetParameter():
                 self._set(declaration)
             case Replace():
@@ -279,7 +288,7 @@ class _Merge:
                 remedy = f"write one of {min(stated)} .. {max(stated)}"
                 self._find(Code.ECS406, clause.at, what, remedy)
 
-    def objects(self, standard: Iterable[ObjectEntry], own: Iterable[ObjectEntry]) -> None:
+    def same_objects(self, standard: Iterable[ObjectEntry], own: Iterable[ObjectEntry]) -> None:
         """An object of the standard is said again only where it is another one."""
         known = {replace(entry, clauses=()) for entry in standard}
         for entry in own:
@@ -291,7 +300,7 @@ class _Merge:
                     "take the row away or write what is different",
                 )
 
-    def words(self, standard: Mapping[str, Word], own: Iterable[Word]) -> None:
+    def same_words(self, standard: Mapping[str, Word], own: Iterable[Word]) -> None:
         """A word of the standard is said again only where it is another one."""
         for word in own:
             old = standard.get(word.name)
@@ -339,6 +348,49 @@ class _Merge:
         if left.choice in self.pins:
             self._pinned_and_open(left.choice, left.at)
         self.opened[left.choice] = left
+
+    def _confirm(self, statement: Confirm) -> None:
+        """The manual says the same: its clauses stand beside those of the standard."""
+        for kind, path in statement.targets:
+            if not self._confirmed(kind, path, statement.clauses):
+                what, remedy = f"there is no {kind} `{path}`", "name what the standard has"
+                self._find(Code.ECS401, statement.at, what, remedy)
+
+    def _confirmed(self, kind: str, path: str, clauses: tuple[str, ...]) -> bool:
+        owner, _, name = path.partition(".")
+        if kind == "rule" and owner in self.machines:
+            machine = self.machines[owner]
+            rules, found = _citing(machine.rules, name, clauses)
+            self.machines[owner] = replace(machine, rules=rules)
+        elif kind == "row" and owner in self.tables:
+            table = self.tables[owner]
+            rows, found = _citing(table.rows, name, clauses)
+            self.tables[owner] = replace(table, rows=rows)
+        else:
+            found = self._of_kind(kind, path, clauses)
+        return found
+
+    def _of_kind(self, kind: str, name: str, clauses: tuple[str, ...]) -> bool:
+        match kind:
+            case "register":
+                found = _cite(self.registers, name, clauses)
+            case "word":
+                found = _cite(self.words, name, clauses)
+            case "parameter":
+                found = _cite(self.parameters, name, clauses)
+            case "frame":
+                found = _cite(self.frames, name, clauses)
+            case "choice":
+                found = _cite(self.choices, name, clauses)
+            case "condition":
+                found = _cite(self.conditions, name, clauses)
+            case "define":
+                found = _cite(self.definitions, name, clauses)
+            case "property":
+                found = _cite(self.properties, name, clauses)
+            case _:
+                found = False
+        return found
 
     def _pinned_and_open(self, choice: str, at: Span) -> None:
         what = f"choice `{choice}` is pinned and left open"
@@ -654,6 +706,31 @@ class _Narrow:
             return tuple(Literal(value, digits, item.at) for value in inside)
         number = self._constant(item)
         return () if number is not None and number not in self._kept else (item,)
+
+
+_Citing = TypeVar("_Citing", Rule, CodeRow)
+_Cites = TypeVar(
+    "_Cites", Register, Word, Parameter, Frame, Choice, Condition, Definition, Property
+)
+
+
+def _citing(
+    items: tuple[_Citing, ...], name: str, clauses: tuple[str, ...]
+) -> tuple[tuple[_Citing, ...], bool]:
+    """The items, of which the one with this name cites more clauses; whether there is one."""
+    cited = tuple(
+        replace(item, clauses=_joined(item.clauses, clauses)) if item.name == name else item
+        for item in items
+    )
+    return cited, any(item.name == name for item in items)
+
+
+def _cite(named: dict[str, _Cites], name: str, clauses: tuple[str, ...]) -> bool:
+    """Let a declaration cite more clauses; tell whether there is one of this name."""
+    if name not in named:
+        return False
+    named[name] = replace(named[name], clauses=_joined(named[name].clauses, clauses))
+    return True
 
 
 def _sort(item: _Named) -> str:

@@ -32,6 +32,7 @@ from ecatspec.spec.language.ir import (
     CodeTable,
     Condition,
     Conditional,
+    Confirm,
     Declaration,
     Definition,
     Dictionary,
@@ -99,6 +100,7 @@ _WORDS: Final = {
     "ID": "a clause id such as AL-03",
     "HEX": 'bytes such as hex"01 02"',
     "LEVEL": "must, should, may or unobservable",
+    "CONFIRMED": "register, rule, row or another kind of declaration",
     "OPENNESS": "open or closed",
     "INPUT_KIND": "`frame` or `write`",
     "ACCESS": "ro, wo, rw or none",
@@ -119,6 +121,7 @@ _DECLARATIONS: Final = frozenset(
         "CLAUSE",
         "CLOSED",
         "CONDITION",
+        "CONFIRM",
         "DEFINE",
         "DICTIONARY",
         "ESI",
@@ -583,6 +586,12 @@ class _Builder:
         children, at = self._open(tree)
         return Open(children.word(), self._ids(children.tree()), at)
 
+    def _confirm(self, tree: Tree[Token]) -> Confirm:
+        children, at = self._open(tree)
+        targets = [self._open(target)[0] for target in children.all("confirmed")]
+        named = tuple((target.word(), _path(target.tree())) for target in targets)
+        return Confirm(named, self._ids(children.tree()), at)
+
     def _example(self, tree: Tree[Token]) -> Example:
         children, at = self._open(tree)
         name, clauses = children.word(), self._ids(children.tree())
@@ -885,6 +894,7 @@ class _Builder:
         "clause": _clause,
         "close": _close,
         "condition": _condition,
+        "confirm": _confirm,
         "definition": _definition,
         "dictionary": _dictionary,
         "example": _example,

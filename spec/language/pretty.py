@@ -22,6 +22,7 @@ from ecatspec.spec.language.ir import (
     CodeTable,
     Condition,
     Conditional,
+    Confirm,
     Definition,
     Dictionary,
     EsiEntry,
@@ -80,6 +81,7 @@ _Line: TypeAlias = (
     | Dictionary
     | Pin
     | Open
+    | Confirm
     | Close
     | Remove
 )
@@ -307,6 +309,9 @@ def _cells(member: Declaration) -> tuple[str, ...]:
             return f"pin {choice}", f"= {alternative}", _ids(clauses)
         case Open(choice, clauses):
             return f"open {choice}", _ids(clauses)
+        case Confirm(targets, clauses):
+            named = ", ".join(f"{kind} {name}" for kind, name in targets)
+            return f"confirm {named}", _ids(clauses)
         case Close(table, values, clauses):
             return f"closed {table} {_set(values)}", _ids(clauses)
         case Remove(machine, rule, clauses):

@@ -19,7 +19,7 @@ input, `machine.variable`, `machine.state`, `register.field`, `word.field`, `par
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.ir import (
@@ -456,6 +456,17 @@ def _origin(protocol: Protocol, kind: str, origin: str) -> dict[str, Type]:
 
 
 # --- what an expression is made of ---------------------------------------------------------------
+
+
+def nodes_in(node: object) -> Iterator[object]:
+    """All parts of a declaration, itself included, wherever they stand in it."""
+    if isinstance(node, tuple):
+        for part in node:
+            yield from nodes_in(part)
+    elif is_dataclass(node):
+        yield node
+        for field in fields(node):
+            yield from nodes_in(getattr(node, field.name))
 
 
 def names_in(expression: Expression | Range) -> Iterator[str]:

@@ -1,0 +1,86 @@
+"""The only place for what a case exercises: the rules it went by, and what its stimuli touch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.conformance.session import WATCHED
+from ecatspec.generators.case import (
+    ReadConfiguration,
+    SendFrame,
+    SetUpProcessData,
+    WriteOutputs,
+    WriteRegister,
+    WriteRegisters,
+)
+from ecatspec.model.citations import object_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Case, Stimulus
+    from ecatspec.model.compiled import Model
+    from ecatspec.model.values import ObjectKey
+
+
+class Touch:
+    """What stimuli touch, by the names of `model.citations.Foundations`."""
+
+    def __init__(self, model: Model) -> None:
+        """Look up which entries objects have, and which the process data hold."""
+        self._model = model
+        self._entries: dict[int, list[ObjectKey]] = {}
+        for entry in model.protocol.objects:
+            self._entries.setdefault(entry.index, []).append((entry.index, entry.subindex))
+        self._mapped = frozenset(self._process_data())
+
+    def of(self, case: Case) -> frozenset[str]:
+        """Give the objects and registers that a case reads or writes."""
+        watched = (f"register {name}" for name in WATCHED)
+        touched = (name for stimulus in case.stimuli for name in self._of(stimulus))
+        return frozenset((*watched, *touched))
+
+    def _of(self, stimulus: Stimulus) -> Iterator[str]:
+        match stimulus:
+            case WriteRegister():
+                yield f"register {stimulus.register}"
+            case WriteRegisters():
+                for write in stimulus.writes:
+                    yield f"register {write.register}"
+            case SendFrame():
+                yield from map(object_name, self._of_request(stimulus))
+            case ReadConfiguration() | SetUpProcessData() | WriteOutputs():
+                yield from map(object_name, self._mapped)
+            case _:
+                pass
+
+    def _of_request(self, stimulus: SendFrame) -> Iterator[ObjectKey]:
+        index, subindex = (stimulus.fields.get(name) for name in ("index", "subindex"))
+        if not isinstance(index, int):
+            return
+        entries = self._entries.get(index, [])
+        whole = stimulus.fields.get("complete_access") or not isinstance(subindex, int)
+        yield from (key for key in entries if whole or key[1] == subindex)
+        value = stimulus.fields.get("value")
+        if index in self._model.image.assignments.values() and isinstance(value, bytes):
+            yield from self._of_pdo(int.from_bytes(value, "little"))
+
+    def _process_data(self) -> Iterator[ObjectKey]:
+        """Give what is assigned and mapped by default, and what that maps."""
+        objects = {(e.index, e.subindex): e for e in self._model.protocol.objects}
+        for index in self._model.image.assignments.values():
+            for key in self._entries.get(index, ()):
+                yield key
+                default = objects[key].default
+                if key[1] and isinstance(default, int):
+                    yield from self._of_pdo(default)
+
+    def _of_pdo(self, index: int) -> Iterator[ObjectKey]:
+        for entry in self._model.protocol.objects:
+            if entry.index != index:
+                continue
+            yield entry.index, entry.subindex
+            if entry.subindex and isinstance(entry.default, int):
+                key, _ = self._model.image.target(entry.default)
+                if key is not None:
+                    yield key

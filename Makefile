@@ -10,7 +10,7 @@ SOURCES := pyproject.toml README.md LICENSE NOTICE $(shell find spec model gener
   -name __pycache__ -prune -o \
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name py.typed \) -print)
 
-.PHONY: help demo test lint format bench clean
+.PHONY: help demo test lint format docs bench clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -41,6 +41,9 @@ lint: $(VENV)/developed  ## formatting, rules and types
 format: $(VENV)/developed  ## format the code and repair what can be repaired
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
+
+docs: $(VENV)/installed  ## write the chapters and tables under docs/ anew (some minutes)
+	$(BIN)/python docs/generate.py
 
 bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/run.py

@@ -14,7 +14,7 @@ import sys
 import traceback
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import rich_click as click
 
@@ -22,9 +22,10 @@ from ecatspec.generators.case import DEPTHS
 from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from ecatspec.conformance.devices import Cell, Sheet
+    from ecatspec.conformance.devices import Sheet
+    from ecatspec.conformance.trace import Trace
     from ecatspec.conformance.verdict import Result
     from ecatspec.spec.language.ir import Protocol
 
@@ -36,12 +37,15 @@ WRONG_INPUT: Final = 2
 INTERRUPTED: Final = 130
 
 _PIPE_WIDTH: Final = 120
+_CHAPTER: Final = "markdown"
+"""The form of `show` that is no drawing."""
 
 EXAMPLES: Final = {
     "run": "ecatspec run kollmorgen-akd --dut canopen",
     "monitor": "ecatspec monitor capture.pcapng --device kollmorgen-akd",
     "check": "ecatspec check spec/devices/kollmorgen-akd.ecs",
     "show": "ecatspec show kollmorgen-akd al",
+    "trace": "ecatspec trace kollmorgen-akd --missing",
 }
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
@@ -140,26 +144,11 @@ def run(
     The device under test is the virtual SubDevice of the text (--dut model), the SDO server of
     the package canopen (--dut canopen), or a program (--dut "exec:COMMAND ARGUMENTS").
     """
-    from ecatspec.conformance.adapter import AdapterError
     from ecatspec.conformance.devices import load
 
     protocol = load(device, mailbox)
-    from ecatspec.conformance.runner import run_device
-
-    try:
-        with _progress() as progress:
-            result = run_device(
-                device,
-                dut,
-                depth=depth,
-                seed=seed,
-                mailbox=mailbox,
-                hang_timeout=hang_timeout,
-                progress=progress,
-            )
-    except AdapterError as error:
-        said = str(error)
-        _refuse(said if ";" in said else f"{said}; repair the set-up, see ecatspec run --help")
+    options = {"depth": depth, "seed": seed, "mailbox": mailbox, "hang_timeout": hang_timeout}
+    result = _run(protocol, device, dut, options)
     return _report((result,), protocol, as_json=as_json)
 
 
@@ -239,13 +228,21 @@ def check(*, files: tuple[str, ...], as_json: bool) -> int:
 @click.argument("device")
 @click.argument("machine", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Give the tables as JSON.")
-def show(*, device: str, machine: str | None, as_json: bool) -> int:
+@click.option(
+    "--format",
+    "form",
+    metavar="svg|mermaid|dot|markdown",
+    help="Draw the MACHINE instead of its tables, or give the chapter of DEVICE (markdown).",
+)
+def show(*, device: str, machine: str | None, as_json: bool, form: str | None) -> int:
     """Show DEVICE (a name or a path to a .ecs file) as tables, or the rules of one MACHINE.
 
     `ecatspec show DEVICE faults` lists the faults that can be planted into its virtual SubDevice.
     """
     from ecatspec.conformance.devices import fault_sheet, load, machine_sheets, sheets
 
+    if form is not None:
+        return _drawn(device, machine, form, as_json=as_json)
     protocol = load(device)
     if machine == "faults":
         tables: tuple[Sheet, ...] = (fault_sheet(),)
@@ -271,6 +268,85 @@ def show(*, device: str, machine: str | None, as_json: bool) -> int:
     return CONFORMS
 
 
+@cli.command(epilog=_example("trace"))
+@click.argument("device", required=False)
+@click.option("--missing", is_flag=True, help="Only what is specified and not exercised.")
+@click.option("--json", "form", flag_value="json", help="Give the trace as JSON.")
+@click.option("--csv", "form", flag_value="csv", help="Give the clauses as CSV.")
+@click.option("--reqif", "form", flag_value="reqif", help="Give the clauses as ReqIF.")
+def trace(*, device: str | None, missing: bool, form: str | None) -> int:
+    """Follow the clauses of DEVICE to their cases, and to what the last run of them showed.
+
+    Without DEVICE the totals of all devices that have a manual. A device of which no run is on
+    record is run once as the virtual SubDevice of its text.
+    """
+    from ecatspec.conformance.devices import load
+    from ecatspec.conformance.trace import as_csv, clause_sheet, device_data, total_sheet
+    from ecatspec.spec.language.load import device_names
+
+    if form == "reqif":
+        reqif = _reqif()
+    loaded = [(name, load(name)) for name in ([device] if device else device_names())]
+    traces = [_trace(name, p) for name, p in loaded if device or p.manuals]
+    shown = {id(t): t.missing if missing else t.rows for t in traces}
+    if form == "json":
+        data = [device_data(t, shown[id(t)]) for t in traces]
+        _print_json("ecatspec.trace", {"devices": data})
+    elif form == "csv":
+        _print(as_csv((t, row) for t in traces for row in shown[id(t)]))
+    elif form == "reqif":
+        _print(reqif(traces))
+    else:
+        sheets = [clause_sheet(t, shown[id(t)]) for t in traces if device or missing]
+        _print("".join(map(_table, (*(s for s in sheets if s.rows), total_sheet(traces)))))
+    return CONFORMS
+
+
+def _trace(device: str, protocol: Protocol) -> Trace:
+    """Trace a device by the last run that is on record, or by one that is made now."""
+    from ecatspec.conformance import record
+    from ecatspec.conformance.trace import trace_device
+    from ecatspec.model.compiled import Model
+
+    known = record.load(protocol)
+    if known is None:
+        said = f"no run of {protocol.name} is on record: its quick suite runs now, on the model"
+        _warn(f"ecatspec: {said}")
+        known = record.record_of(_run(protocol, device, "model", {"depth": "quick"}))
+    return trace_device(Model(protocol), known)
+
+
+def _run(protocol: Protocol, device: str, dut: str, options: Mapping[str, Any]) -> Result:
+    """Run a device and keep the record of it."""
+    from ecatspec.conformance import record
+    from ecatspec.conformance.adapter import AdapterError
+    from ecatspec.conformance.runner import run_device
+
+    try:
+        with _progress() as progress:
+            result = run_device(device, dut, progress=progress, **options)
+    except AdapterError as error:
+        said = str(error)
+        _refuse(said if ";" in said else f"{said}; repair the set-up, see ecatspec run --help")
+    try:
+        record.save(protocol, record.record_of(result))
+    except OSError as error:
+        why = error.strerror or type(error).__name__
+        _warn(f"ecatspec: warning: no record of the run is kept in {record.folder()} ({why})")
+    return result
+
+
+def _reqif() -> Callable[[Sequence[Trace]], str]:
+    """Give the export, which needs a package that is not always there."""
+    from datetime import UTC, datetime
+
+    try:
+        from ecatspec.conformance.requirements import reqif
+    except ModuleNotFoundError as error:
+        _refuse(f"ReqIF needs the package {error.name}; install ecatspec[reqif]")
+    return lambda traces: reqif(traces, datetime.now(UTC))
+
+
 # --- output ---------------------------------------------------------------------------------------
 
 
@@ -293,8 +369,25 @@ def _report(results: Sequence[Result], protocol: Protocol, *, as_json: bool) -> 
     return CONFORMS
 
 
-def _cell(cell: Cell) -> str:
-    return ", ".join(cell) if isinstance(cell, tuple) else str(cell)
+def _drawn(device: str, machine: str | None, form: str, *, as_json: bool) -> int:
+    from ecatspec.conformance.chapter import chapter
+    from ecatspec.conformance.devices import load, nearest
+    from ecatspec.conformance.drawings import DRAWINGS
+
+    if form not in DRAWINGS and form != _CHAPTER:
+        raise nearest("format", form, (*DRAWINGS, _CHAPTER))
+    if as_json:
+        _refuse("--format and --json exclude each other; give one of them")
+    if form == _CHAPTER:
+        if machine is not None:
+            _refuse(f"--format {_CHAPTER} is about the whole device; leave {machine!r} out")
+        _print(chapter(load(device)))
+        return CONFORMS
+    if machine is None or machine == "faults":
+        what = "" if machine is None else ", which faults are not"
+        _refuse(f"--format draws a machine{what}; name one: ecatspec show DEVICE MACHINE")
+    _print(DRAWINGS[form](load(device), machine))
+    return CONFORMS
 
 
 def _table(sheet: Sheet) -> str:
@@ -307,6 +400,8 @@ def _table(sheet: Sheet) -> str:
     from rich.table import Table
     from rich.text import Text
 
+    from ecatspec.conformance.devices import cell_words
+
     width = shutil.get_terminal_size((_PIPE_WIDTH, 0)).columns
     out = io.StringIO()
     console = Console(file=out, width=max(width, 40), color_system=None, legacy_windows=False)
@@ -315,7 +410,7 @@ def _table(sheet: Sheet) -> str:
         numbers = all(isinstance(row[position], int) for row in sheet.rows)
         table.add_column(column, overflow="fold", justify="right" if numbers else "left")
     for row in sheet.rows:
-        table.add_row(*(Text(_cell(cell)) for cell in row))
+        table.add_row(*(Text(cell_words(cell)) for cell in row))
     console.print(table)
     lines = (line.rstrip() for line in out.getvalue().splitlines())
     return f"\n{sheet.title}\n\n" + "".join(f"{line}\n" for line in lines if line)

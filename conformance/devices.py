@@ -144,6 +144,11 @@ class Sheet:
     rows: tuple[tuple[Cell, ...], ...]
 
 
+def cell_words(cell: Cell) -> str:
+    """Give a cell in words."""
+    return ", ".join(cell) if isinstance(cell, tuple) else str(cell)
+
+
 def sheets(protocol: Protocol) -> tuple[Sheet, ...]:
     """Give everything about a device that a reader looks up, without the rules."""
     tables = (_codes(table) for table in protocol.tables.values())

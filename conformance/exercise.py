@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.session import WATCHED
 from ecatspec.generators.case import (
     ReadConfiguration,
+    ReadRegister,
     SendFrame,
     SetUpProcessData,
     WriteOutputs,
@@ -36,13 +37,16 @@ class Touch:
 
     def of(self, case: Case) -> frozenset[str]:
         """Give the objects and registers that a case reads or writes."""
-        watched = (f"register {name}" for name in WATCHED)
+        watched = [f"register {name}" for name in WATCHED]
+        _, _, example = case.name.partition("/example/")
+        if example:
+            watched.append(f"example {example}")
         touched = (name for stimulus in case.stimuli for name in self._of(stimulus))
         return frozenset((*watched, *touched))
 
     def _of(self, stimulus: Stimulus) -> Iterator[str]:
         match stimulus:
-            case WriteRegister():
+            case WriteRegister() | ReadRegister():
                 yield f"register {stimulus.register}"
             case WriteRegisters():
                 for write in stimulus.writes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from platformdirs import user_state_path
@@ -14,6 +13,7 @@ from ecatspec.conformance.verdict import Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from ecatspec.conformance.verdict import Result
     from ecatspec.spec.language.ir import Protocol

@@ -14,6 +14,7 @@ from ecatspec.generators.case import (
     Happen,
     Probe,
     ReadConfiguration,
+    ReadRegister,
     Repeat,
     SendFrame,
     SendSegments,
@@ -118,6 +119,9 @@ class Session:
                 )
                 self._say("MainDevice", f"writes {words}")
                 self._write(address, data)
+            case ReadRegister(register=name):
+                self._say("MainDevice", f"reads {name.replace('_', ' ')}")
+                self._read_register(name)
             case SendFrame():
                 self._send(stimulus)
                 if stimulus.unread:

@@ -1,7 +1,9 @@
-"""The only place for traceability: clause, where it is specified, what exercises it, what it showed."""
+"""The only place for traceability: clause, where it is specified, which cases exercise it."""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
@@ -33,6 +35,20 @@ _WORST_FIRST: Final = (
     Outcome.SKIPPED,
 )
 _SHOWN_CASES: Final = 3
+_COLUMNS: Final = (
+    "device",
+    "clause",
+    "level",
+    "claims",
+    "wording",
+    "source",
+    "specified",
+    "standing",
+    "because",
+    "cases",
+    "first case",
+    "last run",
+)
 
 
 class Standing(StrEnum):
@@ -171,7 +187,7 @@ def clause_sheet(trace: Trace, rows: Iterable[Traced]) -> Sheet:
                 row.clause.wording,
                 row.clause.source,
                 _places(row),
-                _cases(row),
+                shown_cases(row),
                 row.verdict,
             )
             for row in rows
@@ -183,7 +199,8 @@ def _places(row: Traced) -> tuple[str, ...]:
     return tuple(f"{place.kind} {place.name}".strip() for place in row.places)
 
 
-def _cases(row: Traced) -> tuple[str, ...]:
+def shown_cases(row: Traced) -> tuple[str, ...]:
+    """Give the first cases of a clause, or why there are none."""
     if not row.cases:
         why = f": {row.clause.because}" if row.clause.because else ""
         return (f"{row.standing}{why}",)
@@ -193,15 +210,80 @@ def _cases(row: Traced) -> tuple[str, ...]:
 
 def total_sheet(traces: Iterable[Trace]) -> Sheet:
     """Give one row for each device, and the sum of all."""
-    rows: list[tuple[str, *tuple[int, ...]]] = []
+    rows: list[tuple[str | int, ...]] = []
+    anomalies: list[set[str]] = []
     for trace in traces:
-        standings = Counter(trace.standing_of_claims().values())
-        carried = sum(claim in trace.standing_of_claims() for claim in trace.claims)
+        standing_of = trace.standing_of_claims()
+        standings = Counter(standing_of.values())
+        carried = sum(claim in standing_of for claim in trace.claims)
         numbers = [standings[standing] for standing in Standing]
-        anomalies = len(trace.protocol.anomalies)
-        counts = (len(trace.rows), len(trace.claims), carried, *numbers, anomalies)
-        rows.append((trace.protocol.name, *counts))
+        anomalies.append({anomaly.id for anomaly in trace.protocol.anomalies})
+        counts = (len(trace.rows), len(trace.claims), carried, *numbers)
+        rows.append((trace.protocol.name, *counts, len(anomalies[-1])))
     if len(rows) > 1:
-        rows.append(("all", *(sum(column) for column in zip(*(r[1:] for r in rows), strict=True))))
-    columns = ("device", "clauses", "claims", "accounted", *Standing, "anomalies")
-    return Sheet("totals", "claims of the manuals", columns, tuple(rows))
+        columns = list(zip(*rows, strict=True))[1:-1]
+        sums = (sum(int(number) for number in column) for column in columns)
+        rows.append(("all", *sums, len(set.union(*anomalies))))
+    header = ("device", "clauses", "claims", "accounted", *Standing, "anomalies")
+    title = "claims of the manuals (an anomaly that several have counts once)"
+    return Sheet("totals", title, header, tuple(rows))
+
+
+def device_data(trace: Trace, rows: Iterable[Traced]) -> dict[str, object]:
+    """Give a device and these of its clauses as data for JSON."""
+    header, *counts = zip(total_sheet((trace,)).columns, total_sheet((trace,)).rows[0], strict=True)
+    return {
+        header[0]: header[1],
+        "digest": trace.protocol.digest,
+        "last_run": trace.subject,
+        "totals": dict(counts),
+        "clauses": [_data(row) for row in rows],
+        "claims": {claim: standing.value for claim, standing in trace.standing_of_claims().items()},
+        "anomalies": [
+            {"id": a.id, "subject": a.subject, "clauses": list(a.clauses), "treatment": a.treatment}
+            for a in trace.protocol.anomalies
+        ],
+    }
+
+
+def _data(row: Traced) -> dict[str, object]:
+    return {
+        "id": row.clause.id,
+        "level": row.clause.level.value,
+        "wording": row.clause.wording,
+        "source": row.clause.source,
+        "claims": list(row.clause.claims),
+        "standing": row.standing.value,
+        "because": row.clause.because,
+        "specified": [
+            {"kind": p.kind, "name": p.name, "file": p.at.file, "line": p.at.line}
+            for p in row.places
+        ],
+        "cases": list(row.cases),
+        "outcomes": {outcome.value: count for outcome, count in sorted(row.outcomes.items())},
+    }
+
+
+def as_csv(rows: Iterable[tuple[Trace, Traced]]) -> str:
+    """Give one line for each clause, as spreadsheets read it."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for trace, row in rows:
+        clause = row.clause
+        told = (
+            trace.protocol.name,
+            clause.id,
+            clause.level.value,
+            " ".join(clause.claims),
+            clause.wording,
+            clause.source,
+            "; ".join(_places(row)),
+            row.standing.value,
+            clause.because or "",
+            len(row.cases),
+            row.cases[0] if row.cases else "",
+            row.verdict,
+        )
+        writer.writerow(told)
+    return out.getvalue()

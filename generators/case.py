@@ -27,6 +27,13 @@ class WriteRegisters:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadRegister:
+    """The MainDevice reads a register."""
+
+    register: str
+
+
+@dataclass(frozen=True, slots=True)
 class SendFrame:
     """The MainDevice writes a message into its mailbox.
 
@@ -103,6 +110,7 @@ class Happen:
 Stimulus: TypeAlias = (
     WriteRegister
     | WriteRegisters
+    | ReadRegister
     | SendFrame
     | SendSegments
     | Repeat

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Final
 from ecatspec.generators.complete_cover import complete_cover
 from ecatspec.generators.configuration_cover import configuration_cover
 from ecatspec.generators.drive_cover import drive_cover
+from ecatspec.generators.example_cover import example_cover
 from ecatspec.generators.family_cover import family_cover
 from ecatspec.generators.information_cover import information_cover
 from ecatspec.generators.mailbox_cover import mailbox_cover
 from ecatspec.generators.process_cover import process_cover
+from ecatspec.generators.register_cover import register_cover
 from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.generators.transfer_cover import transfer_cover
 from ecatspec.generators.transition_cover import transition_cover
@@ -25,11 +27,13 @@ if TYPE_CHECKING:
 
 GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = MappingProxyType(
     {
+        "registers": register_cover,
         "transitions": transition_cover,
         "process": process_cover,
         "configuration": configuration_cover,
         "drive": drive_cover,
         "mailbox": mailbox_cover,
+        "examples": example_cover,
         "sdo": sdo_cover,
         "transfers": transfer_cover,
         "complete": complete_cover,

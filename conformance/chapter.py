@@ -1,0 +1,98 @@
+"""The only place for the chapter of a device: what its text says, as a page of Markdown."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.conformance.devices import Sheet, cell_words, sheets
+from ecatspec.spec.language.ir import Level
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.spec.language.ir import Protocol
+
+_APART = frozenset({"manuals", "choices", "anomalies", "machines", "pdos"})
+"""Sheets with a section of their own, or of which every row is the device's."""
+
+
+def chapter(protocol: Protocol) -> str:
+    """Give the chapter: what the device does, where its manual is wrong, what stays open."""
+    own = {clause.id for clause in protocol.clauses.values() if clause.claims}
+    tables = {sheet.name: sheet for sheet in sheets(protocol)}
+    parts = [f"# {protocol.wording}", _about(protocol)]
+    parts.append("## What it says")
+    for sheet in tables.values():
+        kept = sheet if sheet.name == "pdos" else _own_rows(sheet, own)
+        if kept.rows and (sheet.name not in _APART or sheet.name == "pdos"):
+            parts += [f"### {_capital(sheet.title)}", _markdown(kept)]
+    parts += ["## Where the manual is wrong", *_section(tables.get("anomalies"))]
+    parts += ["## What was chosen, and what stays open", _chosen(protocol)]
+    parts += ["## What the protocol does not show", _unobservable(protocol)]
+    return "\n\n".join(parts) + "\n"
+
+
+def _about(protocol: Protocol) -> str:
+    clauses = [clause for clause in protocol.clauses.values() if clause.claims]
+    claims = {claim for clause in clauses for claim in clause.claims}
+    lines = [f"- Manual: {manual.edition}." for manual in protocol.manuals]
+    lines.append(
+        f"- The text has {len(clauses)} clauses for {len(claims)} statements of the manual,"
+        f" {len(protocol.objects)} entries of the object dictionary"
+        f" and {len(protocol.anomalies)} places where the manual is wrong or silent."
+    )
+    lines.append(f"- `ecatspec show {protocol.name}` has all of it, the standard included.")
+    return "\n".join(lines)
+
+
+def _own_rows(sheet: Sheet, own: set[str]) -> Sheet:
+    """Keep the rows that rest on a clause of the device."""
+    if "clauses" not in sheet.columns:
+        return sheet
+    at = sheet.columns.index("clauses")
+    rows = tuple(row for row in sheet.rows if own.intersection(_several(row[at])))
+    return Sheet(sheet.name, sheet.title, sheet.columns, rows)
+
+
+def _several(cell: object) -> tuple[str, ...]:
+    return cell if isinstance(cell, tuple) else (str(cell),)
+
+
+def _section(sheet: Sheet | None) -> Iterator[str]:
+    yield "Nothing is recorded." if sheet is None else _markdown(sheet)
+
+
+def _chosen(protocol: Protocol) -> str:
+    rows = []
+    for choice in protocol.choices.values():
+        pin, left = protocol.pins.get(choice.name), protocol.opened.get(choice.name)
+        cited = pin or left
+        if cited is not None:
+            way = "open: the manual is silent" if pin is None else pin.alternative
+            words = "; ".join(protocol.clauses[name].wording for name in cited.clauses)
+            rows.append((choice.wording, way, words, cited.clauses))
+    columns = ("point", "the device", "because the manual says", "clauses")
+    return _markdown(Sheet("chosen", "", columns, tuple(rows)))
+
+
+def _unobservable(protocol: Protocol) -> str:
+    rows = tuple(
+        (clause.wording, clause.because or "", clause.source, (clause.id,))
+        for clause in protocol.clauses.values()
+        if clause.level is Level.UNOBSERVABLE
+    )
+    return _markdown(Sheet("unobservable", "", ("statement", "why", "source", "clauses"), rows))
+
+
+def _markdown(sheet: Sheet) -> str:
+    lines = [_line(sheet.columns), _line("---" for _ in sheet.columns)]
+    lines += [_line(map(cell_words, row)) for row in sheet.rows]
+    return "\n".join(lines)
+
+
+def _line(cells: Iterator[str] | tuple[str, ...]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]

@@ -17,7 +17,8 @@ from ecatspec.generators.transfers import (
     write,
 )
 from ecatspec.model.dictionary import encode_value, size_of, size_varies
-from ecatspec.spec.language.ir import Access, SInt
+from ecatspec.spec.language.ir import Access, In, Literal, Name, SInt
+from ecatspec.spec.language.scope import nodes_in, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -134,6 +135,18 @@ def missing_indexes(model: Model) -> list[int]:
     return [index for index in (0, free, _LAST_INDEX) if index not in declared]
 
 
+def named_indexes(model: Model) -> list[int]:
+    """Give the indexes that definitions name and no text declares; of a range its ends."""
+    declared = {entry.index for entry in model.protocol.objects}
+    named: dict[int, None] = {}
+    for definition in model.protocol.definitions.values():
+        for node in nodes_in(definition.value):
+            if isinstance(node, In) and node.operand == Name("index"):
+                ends = (end for item in node.items for end in (parts_of(item) or (item,)))
+                named |= {int(end.value): None for end in ends if isinstance(end, Literal)}
+    return [index for index in named if index not in declared]
+
+
 def missing_subindexes(model: Model) -> dict[int, list[int]]:
     """Give for each declared object subindexes that it does not have: gaps, the next, the last."""
     found: dict[int, list[int]] = {}
@@ -146,7 +159,7 @@ def missing_subindexes(model: Model) -> dict[int, list[int]]:
 
 
 def _missing(model: Model) -> Iterator[Case]:
-    for index in missing_indexes(model):
+    for index in dict.fromkeys((*missing_indexes(model), *named_indexes(model))):
         for kind, stimulus in (
             ("upload", upload(index, 0)),
             ("download", download(index, 0, b"\1")),

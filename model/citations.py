@@ -184,6 +184,7 @@ class Foundations:
             frame = self._protocol.frames[place]
             yield from frame.clauses
             yield from self._fields.get(place, ())
+            yield from self._of_nodes(nodes_in(frame))
             place = frame.parent
 
     def _of_nodes(self, nodes: Iterable[object]) -> Iterator[str]:

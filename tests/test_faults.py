@@ -3,140 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from grounds import GROUNDS, REFERENCE, Ground, apart, ground_of, suite
 
-from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS, Case
-from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.verdict import BLAMING
 from ecatspec.model.subdevice import Quirk
-from ecatspec.spec.language.ir import Fault, Remove, Replace
 from ecatspec.spec.language.load import load_device, load_faults
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-DEPTH = "quick"
 FAULTS = load_faults()
-SMALL = "40"
-"""The mailbox for SDO information, so that a list takes several messages."""
-SHORT = 6
-"""So many stimuli show what an AL state does; longer cases of the transitions are left out."""
-ALIKE = 1
-"""So many cases are taken whose last two inputs are the same, where no edges count."""
-LONG = 16
-"""After so many stimuli a transfer is the same over and over; the sound device stops there."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ground:
-    """What the faults of a text are looked for with: a device, its mailbox, layers of cases."""
-
-    device: str
-    layers: tuple[str, ...] = ()
-    mailbox: str = ""
-    alike: int = 0
-    """So many cases with the same end at most; 0: all of them."""
-
-
-REFERENCE = Ground("reference")
-GROUNDS = {
-    "information": Ground("reference", ("sdo_information",), SMALL),
-    "process_data": Ground("reference-drive", ("process_data", "al")),
-    "configuration": Ground("reference-drive", ("sdo/configuration",)),
-    "drive": Ground("reference-drive", ("ds402",), alike=ALIKE),
-    "edges": Ground("kollmorgen-s300", ("ds402",)),
-}
-"""By the text of the faults; all others are looked for with all cases of the reference."""
-
-
-def ground_of(fault: Fault) -> Ground:
-    return GROUNDS.get(Path(fault.at.file).stem, REFERENCE)
-
-
-def apart(ground: Ground) -> pytest.MarkDecorator:
-    """Keep what needs the same cases in one process: they run once with the sound device there."""
-    return pytest.mark.xdist_group(f"{ground.device} {' '.join(ground.layers)}")
-
-
-@dataclass(slots=True)
-class Suite:
-    """The cases of a ground, each with rules that a sound device goes by in it."""
-
-    ground: Ground
-    model: Model
-    options: dict[str, str]
-    cases: list[tuple[Case, frozenset[str]]] = field(default_factory=list)
-    blamed: list[str] = field(default_factory=list)
-
-    def runner(self, options: dict[str, str]) -> Runner:
-        adapter = make(self.ground.device, self.options | options)
-        return Runner(self.model, adapter, adapter.describe())
-
-    def ordered(self, fault: Fault) -> list[Case]:
-        """The cases that go by rare rules of the fault first: short ones, then the longest."""
-        layer = Path(fault.at.file).stem
-        own = {f"{c.machine}.{c.rule}" for c in fault.changes if isinstance(c, Replace | Remove)}
-        near = {
-            f"{machine.name}.{rule.name}"
-            for machine in self.model.protocol.machines.values()
-            for rule in machine.rules
-            if fault.clauses[0] in rule.clauses
-        }
-        often = Counter(rule for _, fired in self.cases for rule in fired)
-        if any(often[rule] > len(self.cases) // 2 for rule in own):
-            near = set()  # it shows at once
-
-        def key(row: tuple[Case, frozenset[str]]) -> tuple[float, float, bool, bool, int]:
-            case, fired = row
-            length = len(case.stimuli)
-            return (
-                -sum(1 / often[rule] for rule in own & fired),
-                -sum(1 / often[rule] for rule in near & fired),
-                case.layer != layer,
-                length > LONG,
-                -length if length > LONG else length,
-            )
-
-        return [case for case, _ in sorted(self.cases, key=key)]
-
-
-def wanted(ground: Ground, cases: Iterable[Case]) -> Iterator[Case]:
-    """Give the cases of the layers; of long or similar ones that only tell the same again, few."""
-    alike: Counter[tuple[str, ...]] = Counter()
-    for case in cases:
-        if ground.layers and not case.name.startswith(tuple(f"{n}/" for n in ground.layers)):
-            continue
-        if ground.layers and case.layer == "al" and len(case.stimuli) > SHORT:
-            continue
-        end = tuple(case.name.split("/")[-2:])
-        alike[end] += 1
-        if not ground.alike or alike[end] <= ground.alike:
-            yield case
-
-
-@cache
-def suite(ground: Ground) -> Suite:
-    """Run the sound device once: what it goes by, and what it is blamed for."""
-    model = Model(load(ground.device, ground.mailbox))
-    made = Suite(ground, model, {"mailbox": ground.mailbox} if ground.mailbox else {})
-    runner = made.runner({})
-    for case in wanted(ground, all_cases(model, NO_LIMITS, DEPTH)):
-        runner.rules = set()
-        end = LONG if case.layer.startswith("sdo") else None
-        verdict = runner.judge(replace(case, stimuli=case.stimuli[:end]))
-        if verdict.outcome is not Outcome.PASS:
-            made.blamed.append(f"{verdict.case}: {verdict.outcome} {verdict.observed}")
-        made.cases.append((case, frozenset(map(str, runner.rules))))
-    return made
 
 
 def test_there_are_faults_of_every_service() -> None:
@@ -150,9 +25,11 @@ def test_there_are_faults_of_every_service() -> None:
 
 
 def test_no_two_faults_are_one() -> None:
-    assert not [n for n, times in Counter(f.wording for f in FAULTS.values()).items() if times > 1]
-    changes = [(f.quirk, f.changes) for f in FAULTS.values()]
-    assert all(quirk or changed for quirk, changed in changes)
+    grounds = {name: ground_of(fault).device for name, fault in FAULTS.items()}
+    wordings = Counter((grounds[name], fault.wording) for name, fault in FAULTS.items())
+    assert not [wording for wording, times in wordings.items() if times > 1]
+    changes = [(grounds[name], f.quirk, f.changes) for name, f in FAULTS.items()]
+    assert all(quirk or changed for _, quirk, changed in changes)
     assert all(changes.count(change) == 1 for change in changes)
 
 

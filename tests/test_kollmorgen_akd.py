@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from ecatspec.spec.language.ir import Access, Literal, Name, OneOf, Protocol, UInt
-from ecatspec.spec.language.load import load_device
-
-TEXT = Path(__file__).resolve().parent.parent / "spec" / "devices" / "kollmorgen-akd.ecs"
-CLAUSES, OBJECTS, ANOMALIES = 146, 144, 58
+from ecatspec.generators.bringup import mailbox_settings, request, row
+from ecatspec.generators.play import play
+from ecatspec.model.compiled import Model
+from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.ir import Access, Level, Literal, Name, OneOf, Protocol, UInt
+from ecatspec.spec.language.load import load_device, load_faults
 
 
 @pytest.fixture(scope="module")
@@ -19,55 +20,21 @@ def akd() -> Protocol:
     return load_device("kollmorgen-akd")
 
 
-def ids_in(path: Path, pattern: str) -> set[str]:
-    """All that the pattern's group finds at the beginning of lines."""
-    return set(re.findall(pattern, path.read_text(encoding="utf-8"), re.MULTILINE))
-
-
 def own_clauses(protocol: Protocol) -> set[str]:
     return {name for name in protocol.clauses if name.startswith("AKD-C")}
 
 
-def test_every_claim_is_a_claim_on_this_drive(akd: Protocol, shared: Path) -> None:
-    known = ids_in(shared / "evidence" / "claims.yaml", r"^- id: (AKD-\d{3})$")
-    cited = {claim for clause in akd.clauses.values() for claim in clause.claims}
-    assert cited
-    assert cited <= known
+def unobservable(protocol: Protocol) -> set[str]:
+    levels = {name: protocol.clauses[name].level for name in own_clauses(protocol)}
+    return {name for name, level in levels.items() if level is Level.UNOBSERVABLE}
 
 
-def test_every_clause_of_the_drive_names_a_claim_and_lines(akd: Protocol) -> None:
-    for name in own_clauses(akd):
-        clause = akd.clauses[name]
-        assert clause.claims, name
-        assert re.search(r"lines? \d+", clause.source), name
-
-
-def test_the_cited_lines_are_in_the_manual(akd: Protocol, shared: Path) -> None:
-    (manual,) = akd.manuals
-    lines = (shared / "manuals" / manual.file).read_text(encoding="utf-8").count("\n")
-    for name in own_clauses(akd):
-        part = re.sub(r"sections? [\d.-]+", "", akd.clauses[name].source)
-        numbers = [int(number) for number in re.findall(r"(?<!ANOM-)\b\d{3,}", part)]
-        assert numbers, name
-        assert max(numbers) <= lines, name
-
-
-def test_every_anomaly_is_filed(akd: Protocol, shared: Path) -> None:
-    file = shared / "evidence" / "anomalies.md"
-    concerned = ids_in(file, r"^\| (ANOM-\d{3}) \| \w \| (?:[^|]*\bAKD\b[^|]*|all) \|")
-    assert {anomaly.id for anomaly in akd.anomalies} <= concerned
-
-
-def test_every_clause_is_used() -> None:
-    text = TEXT.read_text(encoding="utf-8")
-    declared = set(re.findall(r"^clause (AKD-C\d+)", text, re.MULTILINE))
-    statements = re.sub(r"^clause .*$", "", text, flags=re.MULTILINE)
-    assert set(re.findall(r"AKD-C\d+", statements)) == declared
-
-
-def test_golden_counts(akd: Protocol) -> None:
-    found = len(own_clauses(akd)), len(akd.objects), len(akd.anomalies)
-    assert found == (CLAUSES, OBJECTS, ANOMALIES)
+def test_what_happens_inside_the_drive_is_unobservable(akd: Protocol) -> None:
+    hidden = unobservable(akd)
+    for inside in (13, 23, 136, 140, 143):  # interrupts, polling, parameters without an object
+        assert f"AKD-C{inside}" in hidden
+    for outside in (34, 75, 96, 146):  # codes, modes, command bytes, what a lost clock does
+        assert f"AKD-C{outside}" not in hidden
 
 
 def test_mailbox_areas(akd: Protocol) -> None:
@@ -88,6 +55,26 @@ def test_pins(akd: Protocol) -> None:
         "refused_in_op": "stay",
         "return_from_quick_stop": "served",
         "upload_form": "expedited",
+    }
+
+
+def test_what_the_manual_does_not_say_stays_open(akd: Protocol) -> None:
+    assert set(akd.opened) == {
+        "bad_service",
+        "bootstrap",
+        "client_abort",
+        "complete_access_support",
+        "drive_coupling",
+        "information_support",
+        "mailbox_address",
+        "mains_needed",
+        "op_without_outputs",
+        "other_protocols",
+        "pdo_services",
+        "quick_stop_end",
+        "reply_counter",
+        "segmented_download",
+        "unsized_download",
     }
 
 
@@ -144,11 +131,6 @@ def test_the_example_is_the_normative_reading(akd: Protocol) -> None:
     assert (request[7], response[7]) == (0x20, 0x30)
     assert request[9:12] == response[9:12]
     assert response[12:] == bytes(4)
-
-
-def test_all_claims_on_the_drive_are_carried(akd: Protocol) -> None:
-    cited = {claim for clause in akd.clauses.values() for claim in clause.claims}
-    assert {f"AKD-{number:03}" for number in range(27, 470)} <= cited
 
 
 # bytes of each fixed PDO as sections 4.5 and 4.6 have them, or their entries added
@@ -208,3 +190,90 @@ def test_remote_is_always_set_where_the_word_is_valid(akd: Protocol) -> None:
     assert remote.shows is not None
     assert remote.shows.value == Literal(True)  # noqa: FBT003
     assert remote.shows.condition == Name("status_valid")
+
+
+# --- the file that describes the drive ------------------------------------------------------------
+
+
+def described(akd: Protocol) -> dict[str, int | str]:
+    return {entry.path: entry.value for entry in akd.esi}
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "parameter"),
+    [
+        (0, "MBoxOut", "mailbox_out"),
+        (1, "MBoxIn", "mailbox_in"),
+        (2, "Outputs", "process_data_out"),
+        (3, "Inputs", "process_data_in"),
+    ],
+)
+def test_described_sync_managers_are_those_of_the_parameters(
+    akd: Protocol, number: int, kind: str, parameter: str
+) -> None:
+    rows, model = described(akd), Model(akd)
+    assert rows[f"Device/Sm[{number}]"] == kind
+    assert rows[f"Device/Sm[{number}]/@StartAddress"] == model.parameter(parameter, "start")
+    size = rows[f"Device/Sm[{number}]/@DefaultSize"]
+    if kind in {"Outputs", "Inputs"}:  # those of the PDOs that are assigned by default
+        assert size == FIXED[0x1701] == FIXED[0x1B01]
+    else:
+        assert size == model.parameter(parameter, "length")
+
+
+def test_described_pdos_are_the_declared_ones(akd: Protocol) -> None:
+    rows = described(akd)
+    entries = {(entry.index, entry.subindex): entry for entry in akd.objects}
+    pdos = {path: value for path, value in rows.items() if re.fullmatch(r".*Pdo\[\d+]/Index", path)}
+    assert len(pdos) == 8 + 10
+    for path, index in pdos.items():
+        assert isinstance(index, int)
+        fixed = rows.get(path.replace("Index", "@Fixed"))
+        if fixed is not None:
+            access = entries[index, 0].access
+            assert access is (Access.READ if fixed else Access.BOTH), hex(index)
+        first = path.replace("Index", "Entry[0]")
+        if f"{first}/Index" in rows:
+            parts = [rows[f"{first}/{part}"] for part in ("Index", "SubIndex", "BitLen")]
+            high, middle, low = (part for part in parts if isinstance(part, int))
+            assert entries[index, 1].default == high << 16 | middle << 8 | low
+
+
+def test_the_default_pdo_excludes_all_others(akd: Protocol) -> None:
+    rows = described(akd)
+    offered = {rows[f"Device/RxPdo[{number}]/Index"] for number in range(8)}
+    excluded = {value for path, value in rows.items() if "RxPdo[4]/Exclude" in path}
+    assert rows["Device/RxPdo[4]/Index"] == 0x1701
+    assert excluded == offered - {0x1701}
+
+
+# --- what the drive does --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "code"),
+    [
+        ({"sync_manager_0": {"length": 0}}, 0x0017),
+        ({"sync_manager_1": {"length": 33}}, 0x0017),
+        ({}, None),
+    ],
+    ids=["empty", "too_short", "right"],
+)
+def test_mailbox_areas_are_checked_on_the_way_to_preop(
+    akd: Protocol, settings: dict[str, dict[str, int]], code: int | None
+) -> None:
+    model = Model(akd)
+    device = VirtualSubDevice(akd)
+    preop = request(row(model, "al_state", "PREOP"))
+    play(model, device, (*mailbox_settings(model, settings), preop))
+    if code is None:
+        assert device.esc.register("al_status") == row(model, "al_state", "PREOP")
+    else:
+        assert device.esc.register("al_status_code") == code
+
+
+def test_the_faults_are_faults_of_this_drive(akd: Protocol) -> None:
+    faults = [f for f in load_faults().values() if Path(f.at.file).stem == "kollmorgen_akd"]
+    assert len(faults) >= 10
+    for fault in faults:
+        assert set(fault.clauses) <= set(akd.clauses) - unobservable(akd), fault.name

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,17 +11,13 @@ import pytest
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import fields_with_before, step
 from ecatspec.model.state import Event
-from ecatspec.spec.language.ir import Binary, Call, Gap, Literal, Name, OneOf, Rule, Unary
-from ecatspec.spec.language.load import load_device
+from ecatspec.spec.language.ir import Binary, Call, Gap, Level, Literal, Name, OneOf, Rule, Unary
+from ecatspec.spec.language.load import load_device, load_faults
 
 if TYPE_CHECKING:
     from ecatspec.model.state import State
     from ecatspec.spec.language.ir import Expression, Protocol
 
-TEXT = Path(__file__).resolve().parent.parent / "spec" / "devices" / "kollmorgen-s300.ecs"
-CLAUSES, OBJECTS, ANOMALIES = 102, 18, 36
-FIRST, LAST = 28, 176
-"""The claims on chapter 3; those before are on wires and lamps, those behind on missing pages."""
 
 BITS: Final = ("fault_reset", "enable_operation", "quick_stop", "enable_voltage", "switch_on")
 """The columns of the manual's table: bits 7, 3, 2, 1 and 0 of the control word."""
@@ -57,68 +52,16 @@ def s300() -> Protocol:
     return load_device("kollmorgen-s300")
 
 
-def ids_in(path: Path, pattern: str) -> set[str]:
-    """All that the pattern's group finds at the beginning of lines."""
-    return set(re.findall(pattern, path.read_text(encoding="utf-8"), re.MULTILINE))
-
-
 def own_clauses(protocol: Protocol) -> set[str]:
     return {name for name in protocol.clauses if name.startswith("S300-C")}
-
-
-def cited_claims(protocol: Protocol) -> set[str]:
-    return {claim for clause in protocol.clauses.values() for claim in clause.claims}
 
 
 # --- evidence -------------------------------------------------------------------------------------
 
 
-def test_every_claim_is_a_claim_on_this_drive(s300: Protocol, shared: Path) -> None:
-    known = ids_in(shared / "evidence" / "claims.yaml", r"^- id: (S300-\d{3})$")
-    assert cited_claims(s300) <= known
-
-
-def test_all_claims_on_the_chapter_are_carried(s300: Protocol) -> None:
-    wanted = {f"S300-{number:03}" for number in range(FIRST, LAST + 1)}
-    assert wanted <= cited_claims(s300)
-
-
-def test_every_clause_of_the_drive_names_a_claim_and_lines(s300: Protocol) -> None:
-    for name in own_clauses(s300):
-        clause = s300.clauses[name]
-        assert clause.claims, name
-        assert re.search(r"lines? \d+", clause.source), name
-
-
-def test_the_cited_lines_are_in_the_manual(s300: Protocol, shared: Path) -> None:
-    (manual,) = s300.manuals
-    lines = (shared / "manuals" / manual.file).read_text(encoding="utf-8").count("\n")
-    for name in own_clauses(s300):
-        part = re.sub(r"sections? [\d.-]+|ANOM-\d+", "", s300.clauses[name].source)
-        numbers = [int(number) for number in re.findall(r"\b\d{2,}", part)]
-        assert numbers, name
-        assert max(numbers) <= lines, name
-
-
-def test_every_anomaly_is_filed(s300: Protocol, shared: Path) -> None:
-    file = shared / "evidence" / "anomalies.md"
-    concerned = ids_in(file, r"^\| (ANOM-\d{3}) \| \w \| (?:[^|]*\bS300\b[^|]*|all) \|")
-    filed = {anomaly.id for anomaly in s300.anomalies}
-    assert filed <= concerned
-    # how the process side is called, ports, station address: nothing of it is in this text
-    assert concerned - filed == {"ANOM-015", "ANOM-108", "ANOM-110"}
-
-
-def test_every_clause_is_used() -> None:
-    text = TEXT.read_text(encoding="utf-8")
-    declared = set(re.findall(r"^clause (S300-C\d+)", text, re.MULTILINE))
-    statements = re.sub(r"^clause .*$", "", text, flags=re.MULTILINE)
-    assert set(re.findall(r"S300-C\d+", statements)) == declared
-
-
-def test_golden_counts(s300: Protocol) -> None:
-    found = len(own_clauses(s300)), len(s300.objects), len(s300.anomalies)
-    assert found == (CLAUSES, OBJECTS, ANOMALIES)
+def unobservable(protocol: Protocol) -> set[str]:
+    levels = {name: protocol.clauses[name].level for name in own_clauses(protocol)}
+    return {name for name, level in levels.items() if level is Level.UNOBSERVABLE}
 
 
 # --- AL state machine -----------------------------------------------------------------------------
@@ -144,6 +87,25 @@ def test_pins(s300: Protocol) -> None:
         "mailbox_support": "present",
         "quick_stop_end": "stays",
         "refused_in_op": "stay",
+    }
+
+
+def test_what_the_extract_does_not_say_stays_open(s300: Protocol) -> None:
+    assert set(s300.opened) == {
+        "complete_access_support",
+        "drive_power",
+        "drive_release",
+        "information_support",
+        "mailbox_address",
+        "mains_needed",
+        "op_without_outputs",
+        "other_protocols",
+        "pdo_services",
+        "process_data_address",
+        "reply_counter",
+        "return_from_quick_stop",
+        "segmented_download",
+        "upload_form",
     }
 
 
@@ -189,6 +151,13 @@ def test_a_failed_synchronisation_is_a_fault_of_the_drive_too(s300: Protocol) ->
     (rule,) = (r for r in s300.machines["al"].rules if r.name == "synchronisation_failed")
     (given,) = rule.gives
     assert given.target == "ds402.synchronisation_failed"
+
+
+def test_the_faults_are_faults_of_this_drive(s300: Protocol) -> None:
+    faults = [f for f in load_faults().values() if Path(f.at.file).stem == "kollmorgen_s300"]
+    assert len(faults) >= 10
+    for fault in faults:
+        assert set(fault.clauses) <= set(s300.clauses) - unobservable(s300), fault.name
 
 
 # --- table of commands ----------------------------------------------------------------------------

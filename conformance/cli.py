@@ -46,6 +46,7 @@ EXAMPLES: Final = {
     "check": "ecatspec check spec/devices/kollmorgen-akd.ecs",
     "show": "ecatspec show kollmorgen-akd al",
     "trace": "ecatspec trace kollmorgen-akd --missing",
+    "prove": "ecatspec prove kollmorgen-akd",
 }
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
@@ -345,6 +346,38 @@ def _reqif() -> Callable[[Sequence[Trace]], str]:
     except ModuleNotFoundError as error:
         _refuse(f"ReqIF needs the package {error.name}; install ecatspec[reqif]")
     return lambda traces: reqif(traces, datetime.now(UTC))
+
+
+@cli.command(epilog=_example("prove"))
+@click.argument("device", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Give the proofs as JSON.")
+def prove(*, device: str | None, as_json: bool) -> int:
+    """Prove of the text of DEVICE that it is whole and without contradiction.
+
+    No two rules for one input, a rule for every input, properties that hold, states that are
+    reached. Without DEVICE the standard and all devices.
+    """
+    from ecatspec.conformance import prove as proofs
+    from ecatspec.conformance.devices import load
+    from ecatspec.spec.language.load import device_names
+    from ecatspec.spec.language.overlap import STANDARD
+
+    done = []
+    for name in [device] if device else [STANDARD, *device_names()]:
+        protocol = load(name)
+        try:
+            with _progress() as progress:
+                done.append(proofs.prove(name, protocol, progress))
+        except ModuleNotFoundError as error:
+            if error.name != "z3":
+                raise
+            _refuse("proofs need the package z3-solver; install ecatspec[prove]")
+        if not as_json:
+            lines = "".join(f"{line}\n" for line in proofs.details(done[-1]))
+            _print(_table(proofs.proof_sheet(done[-1])) + (lines and f"\n{lines}"))
+    if as_json:
+        _print_json("ecatspec.prove", {"devices": proofs.as_data(done)})
+    return DOES_NOT_CONFORM if any(found.refuted for found in done) else CONFORMS
 
 
 # --- output ---------------------------------------------------------------------------------------

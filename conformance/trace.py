@@ -155,10 +155,10 @@ def _traced(
 ) -> Traced:
     if clause.level is Level.UNOBSERVABLE:
         standing = Standing.UNOBSERVABLE
+    elif clause.because is not None:
+        standing, cases = Standing.REASONED, ()  # what cites it is exercised, it is not
     elif cases:
         standing = Standing.EXERCISED
-    elif clause.because is not None:
-        standing = Standing.REASONED
     elif places and all(place.kind == "esi" for place in places):
         standing = Standing.DATA
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -72,6 +72,10 @@ class Candidate:
     last: bytes | None = None
     befell: tuple[str, ...] = ()
     """What befell the device without anybody having raised it."""
+
+    def having(self, state: State) -> Candidate:
+        """Give the explanation with another state."""
+        return self if state is self.state else replace(self, state=state)
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,11 +108,11 @@ class Foundations:
                 found = frozenset(self._of_rule(machine, rule))
                 self.of[f"{machine.name}.{rule.name}"] = found
         for register in protocol.registers.values():
-            self.of[f"register {register.name}"] = frozenset(_of_layout(register))
+            self.of[f"register {register.name}"] = frozenset(self._of_layout(register))
         words = {word.key: word for word in protocol.words.values()}
         for entry in protocol.objects:
             key = entry.index, entry.subindex
-            bits = _of_layout(words[key]) if key in words else ()
+            bits = self._of_layout(words[key]) if key in words else ()
             self.of[object_name(key)] = frozenset((*entry.clauses, *bits))
         for example in protocol.examples:
             self.of[f"example {example.name}"] = frozenset(example.clauses)
@@ -161,7 +161,7 @@ class Foundations:
         for layout in _layouts(self._protocol):
             views = [bits.shows for bits in layout.fields if bits.shows is not None]
             if any(shown.intersection(names_in(view.value)) for view in views):
-                yield from _of_layout(layout)
+                yield from self._of_layout(layout)
         types = {variable.name: variable.type for variable in machine.variables}
         for update in rule.updates:
             kind = types.get(update.variable)
@@ -176,7 +176,13 @@ class Foundations:
                 yield from self._of_frame(name)
             for layout in _layouts(self._protocol):
                 if layout.name == name:
-                    yield from _of_layout(layout)
+                    yield from self._of_layout(layout)
+
+    def _of_layout(self, layout: Register | Word) -> Iterator[str]:
+        yield from layout.clauses
+        for bits in layout.fields:
+            yield from bits.clauses
+        yield from self._of_nodes(nodes_in(layout))
 
     def _of_frame(self, name: str) -> Iterator[str]:
         place: str | None = name
@@ -208,7 +214,3 @@ class Foundations:
 def _layouts(protocol: Protocol) -> tuple[Register | Word, ...]:
     registers: tuple[Register | Word, ...] = tuple(protocol.registers.values())
     return registers + tuple(protocol.words.values())
-
-
-def _of_layout(layout: Register | Word) -> tuple[str, ...]:
-    return layout.clauses + tuple(c for bits in layout.fields for c in bits.clauses)

@@ -63,11 +63,12 @@ class Codec:
             self._children.setdefault(frame.parent, []).append(name)
         for children in self._children.values():
             children.sort(key=self._weight, reverse=True)
+        self._trails = {name: self._trail(name) for name in protocol.frames}
+        self._fixed = {name: self._constants(name) for name in protocol.frames}
 
     def trail(self, frame: str) -> tuple[str, ...]:
         """Give the layouts around `frame` from the outermost to itself."""
-        parent = self._protocol.frames[frame].parent
-        return (*self.trail(parent), frame) if parent else (frame,)
+        return self._trails[frame]
 
     def field_names(self, frame: str) -> tuple[str, ...]:
         """Give the fields of the frame and of all around it, outermost first, without bodies."""
@@ -82,13 +83,9 @@ class Codec:
         """Tell whether the encoder computes the field: a length of what follows."""
         return any(part.counts == field for name in self.trail(frame) for part in self._parts[name])
 
-    def fixed(self, frame: str) -> dict[str, Value]:
+    def fixed(self, frame: str) -> Mapping[str, Value]:
         """Give the fields that have constants: own ones and those that place the frame."""
-        constants: dict[str, Value] = {}
-        for name in self.trail(frame):
-            constants |= self._conditions[name]
-            constants |= {p.name: p.constant for p in self._parts[name] if p.constant is not None}
-        return constants
+        return self._fixed[frame]
 
     def place(self, frame: str, field: str) -> tuple[int, int]:
         """Give bit offset and width of a field in its own layout, which has fixed widths only."""
@@ -216,6 +213,17 @@ class Codec:
         return bits.to_bytes((offset + 7) // 8, "little")
 
     # --- preparation ------------------------------------------------------------------------------
+
+    def _trail(self, frame: str) -> tuple[str, ...]:
+        parent = self._protocol.frames[frame].parent
+        return (*self._trail(parent), frame) if parent else (frame,)
+
+    def _constants(self, frame: str) -> Mapping[str, Value]:
+        constants: dict[str, Value] = {}
+        for name in self.trail(frame):
+            constants |= self._conditions[name]
+            constants |= {p.name: p.constant for p in self._parts[name] if p.constant is not None}
+        return constants
 
     def _layout(self, frame: Frame) -> tuple[_Part, ...]:
         return tuple(self._part(frame, field) for field in frame.fields)

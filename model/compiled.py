@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, assert_never
+from typing import TYPE_CHECKING, Any, TypeAlias, assert_never
 
 from ecatspec.model.codec import Codec
 from ecatspec.model.dictionary import CROWDED, ObjectDictionary
@@ -63,6 +64,8 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from ecatspec.model.codec import Message
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import (
@@ -79,6 +82,9 @@ if TYPE_CHECKING:
 
 MAILBOX = "mailbox"
 """The machine that takes all messages, and its outermost layout."""
+
+
+Holder: TypeAlias = "Callable[[Environment], int | None]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +146,8 @@ class View:
     expression: Expression
     value: Getter
     condition: Getter | None
+    holder: Holder
+    """What tells the slot whose value the field is."""
 
     def present(self, environment: Environment) -> Value:
         """Give what the field reads as, unknown where nothing is said."""
@@ -155,12 +163,15 @@ class Model:
         """Compile every rule, view and layout of the protocol."""
         self.protocol = protocol
         self.assuming = assuming
+        self.answers: defaultdict[object, dict[tuple[object, ...], Any]] = defaultdict(dict)
+        """What functions of the model gave (`once`)."""
+        self._parameters: dict[tuple[str, str | None], int] = {}
         self.codec = Codec(protocol)
         self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
         self.image = ProcessImage(protocol, self.dictionary, self.parameter)
         self._functions = PLAIN | self.dictionary.functions | self.image.functions
         self.slots: dict[str, int] = {}
-        self._definitions: dict[str, Getter] = {}
+        self._definitions: dict[tuple[str, Scope], Getter] = {}
         initial: list[Value | None] = []
         for name, value in self._initial():
             self.slots[name] = len(initial)
@@ -324,10 +335,13 @@ class Model:
 
     def definition(self, name: str) -> Getter:
         """Give a definition of the texts as a function, in no rule's scope."""
-        if name not in self._definitions:
+        return self._definition(name, Scope())
+
+    def _definition(self, name: str, scope: Scope) -> Getter:
+        if (name, scope) not in self._definitions:
             value = self.protocol.definitions[name].value
-            self._definitions[name] = self.expression(value, Scope(), None)
-        return self._definitions[name]
+            self._definitions[name, scope] = self.expression(value, scope, None)
+        return self._definitions[name, scope]
 
     def broken(self, state: State) -> tuple[str, ...]:
         """Give the properties of the texts that do not hold in a state."""
@@ -336,6 +350,11 @@ class Model:
 
     def parameter(self, name: str, part: str | None = None) -> int:
         """Give the value of a parameter (of an area: `start` or `length`; of a time: us)."""
+        if (name, part) not in self._parameters:
+            self._parameters[name, part] = self._parameter(name, part)
+        return self._parameters[name, part]
+
+    def _parameter(self, name: str, part: str | None) -> int:
         parameter = self.protocol.parameters[name]
         expression = parameter.value[1 if part == "length" else 0]
         value = compile_expression(expression, self._lookup(Scope()), {})(Environment((), {}, {}))
@@ -402,8 +421,7 @@ class Model:
             case ConstantRef(value=value):
                 return constant(value)
             case DefinitionRef(name=name):
-                definition = self.expression(self.protocol.definitions[name].value, scope, None)
-                return remembered(name, definition)
+                return remembered(name, self._definition(name, scope))
             case _:
                 assert_never(ref)
 
@@ -550,9 +568,26 @@ class Model:
                     field.shows.value,
                     self.expression(field.shows.value, Scope(), field.type),
                     None if condition is None else self.expression(condition, Scope(), None),
+                    self._holder(field.shows.value),
                 )
             )
         return tuple(views)
+
+    def _holder(self, shown: Expression) -> Holder:
+        if isinstance(shown, Conditional):
+            condition = self.expression(shown.condition, Scope(), None)
+            then, otherwise = self._holder(shown.then), self._holder(shown.otherwise)
+
+            def chosen(environment: Environment) -> int | None:
+                holds = condition(environment)
+                if isinstance(holds, Pattern):
+                    return None
+                return then(environment) if holds else otherwise(environment)
+
+            return chosen
+        ref = resolve(self.protocol, shown.path, Scope()) if isinstance(shown, Name) else None
+        slot = self.slot(ref) if isinstance(ref, VariableRef | StateRef) else None
+        return lambda _: slot
 
     def _reply_fields(self, frame: str) -> dict[str, tuple[Getter, str | None]]:
         """Give for each field with a `reply` text its value and the slot that keeps it."""

@@ -45,7 +45,7 @@ def field_mask(protocol: Protocol, register: str, field: str) -> int:
     return ((1 << (bits.high - bits.low + 1)) - 1) << bits.low
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Channel:
     """One mailbox SyncManager as set now."""
 
@@ -74,7 +74,7 @@ class Esc:
         self._memory = bytearray(self.size)
         self._events = 0
         self._al_control_locked = False
-        self._channels: list[Channel] = []
+        self._channels: dict[str, Channel] = {}
         self._buffers: dict[str, ThreeBuffers] = {}
         self._al_bit = 1 << model.parameter("al_control_event")
         self._change_bit = 1 << model.parameter("sync_manager_change_event")
@@ -175,7 +175,9 @@ class Esc:
         """Cut an access at the borders of areas: start, end, SyncManager of process data."""
         areas = [buffers.channel for buffers in self._buffers.values()]
         edges = {border for area in areas for border in (area.start, area.end, area.hidden_end)}
-        edges |= {border for c in self._channels for border in (c.start, c.start + c.length)}
+        edges |= {
+            border for c in self._channels.values() for border in (c.start, c.start + c.length)
+        }
         within = sorted(edge for edge in edges if address < edge < address + length)
         for low, high in pairwise((address, *within, address + length)):
             yield low, high, self._owner(low)
@@ -186,7 +188,7 @@ class Esc:
         for name, area in areas.items():
             if area.start <= address < area.end:
                 return name
-        if any(channel.overlaps(address, 1) for channel in self._channels):
+        if any(channel.overlaps(address, 1) for channel in self._channels.values()):
             return None
         hidden = (name for name, a in areas.items() if a.end <= address < a.hidden_end)
         return next(hidden, None)
@@ -216,7 +218,7 @@ class Esc:
         return 1 << (self._first_bit + _ALL.index(name))
 
     def _read_memory(self, address: int, length: int) -> tuple[int, bytes]:
-        for channel in self._channels:
+        for channel in self._channels.values():
             if channel.overlaps(address, length):
                 if channel.main_writes or not channel.full:
                     return 0, bytes(length)
@@ -228,7 +230,7 @@ class Esc:
         return 1, bytes(self._memory[address : address + length])
 
     def _write_memory(self, address: int, data: bytes) -> int:
-        for channel in self._channels:
+        for channel in self._channels.values():
             if channel.overlaps(address, len(data)):
                 if not channel.main_writes or channel.full:
                     return 0
@@ -269,8 +271,7 @@ class Esc:
         return bool(field_of(self._protocol, f"{name}_activation", "enabled", raw))
 
     def _arrange(self) -> None:
-        before = {channel.name: channel for channel in self._channels}
-        self._channels = []
+        before, self._channels = self._channels, {}
         for name in SYNC_MANAGERS:
             raw = self.register(name)
             mode = field_of(self._protocol, name, "mode", raw)
@@ -278,11 +279,10 @@ class Esc:
             if self._enabled(name) and mode == self._mailbox_mode and length:
                 direction = field_of(self._protocol, name, "direction", raw)
                 start = field_of(self._protocol, name, "start", raw)
-                channel = Channel(name, start, length, direction == self._main_writes)
                 old = before.get(name)
-                channel.full = bool(old and old.full and old.start == start)
-                self._channels.append(channel)
-                self._set_full(channel, full=channel.full)
+                full = bool(old and old.full and old.start == start)
+                channel = Channel(name, start, length, direction == self._main_writes, full)
+                self._set_full(channel, full=full)
             else:
                 self.set_register(f"{name}_status", 0)
 
@@ -320,7 +320,7 @@ class Esc:
         self.set_register(status, raw)
 
     def _set_full(self, channel: Channel, *, full: bool) -> None:
-        channel.full = full
+        self._channels[channel.name] = replace(channel, full=full)
         status = f"{channel.name}_status"
         mask = field_mask(self._protocol, status, "full")
         raw = self.register(status)
@@ -344,7 +344,7 @@ class Esc:
 
     def pdi_read(self, address: int, length: int) -> bytes:
         """Read as the device: unlocks AL Control, empties a mailbox that was written."""
-        for channel in self._channels:
+        for channel in self._channels.values():
             if channel.main_writes and channel.full and channel.reaches_end(address, length):
                 self._set_full(channel, full=False)
         control = self._protocol.registers["al_control"]
@@ -383,7 +383,7 @@ class Esc:
             else:
                 self._device_write(owner, low, piece)
         self._fmmus = None
-        for channel in self._channels:
+        for channel in self._channels.values():
             if not channel.main_writes and channel.reaches_end(address, len(data)):
                 self._set_full(channel, full=True)
 
@@ -436,13 +436,12 @@ class Esc:
 
     def channel(self, name: str) -> Channel | None:
         """Give a mailbox as it is now, None where it is not set up."""
-        return next((replace(c) for c in self._channels if c.name == name), None)
+        return self._channels.get(name)
 
     def empty(self, name: str) -> None:
         """Take back what was put into a mailbox and not read, by switching its SyncManager."""
-        for channel in self._channels:
-            if channel.name == name:
-                self._set_full(channel, full=False)
+        if name in self._channels:
+            self._set_full(self._channels[name], full=False)
 
 
 def _overlap(register: Register, address: int, length: int) -> bool:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.compiled import rows_of
 from ecatspec.model.evaluate import Environment, before
+from ecatspec.model.once import once
 from ecatspec.model.process_image import OUTPUTS, taken
 from ecatspec.model.state import Alarm, Event, Output, RuleName, State, Step
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, bits_of
@@ -27,6 +28,7 @@ _AGES = 1 << 40
 """Microseconds in which anything would have happened."""
 
 
+@once
 def step(model: Model, state: State, event: Event) -> tuple[Step, ...]:
     """Give every way in which the texts let the device react; never empty.
 
@@ -297,7 +299,7 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
     if output.frame not in message.trail:
         return []
     environment = Environment(state.slots, state.known(), {})
-    expected: dict[str, Value] = model.codec.fixed(output.frame) | dict(output.fields)
+    expected: dict[str, Value] = {**model.codec.fixed(output.frame), **dict(output.fields)}
     keeps: dict[str, str | None] = {}
     for name, (getter, into) in model.replies[output.frame].items():
         if name not in expected:

@@ -32,8 +32,10 @@ from ecatspec.model.interpreter import (
     rule_clauses,
     step,
 )
+from ecatspec.model.once import once
 from ecatspec.model.shown import (
     decided,
+    definitely,
     enabled,
     machines_of,
     mailbox_area,
@@ -68,7 +70,6 @@ HELD = ("process_data.fed", "process_data.image")
 _LIMIT = 256
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
-_REMEMBERED = 256
 
 
 @dataclass(slots=True)
@@ -85,9 +86,6 @@ class Oracle:
     _outputs: tuple[Event, ...] = ()
     _suspicion: Mismatch | None = None
     """The first observation since a request that only an accident explains."""
-    _known_steps: dict[tuple[int, State], tuple[Event, tuple[Step, ...]]] = field(
-        default_factory=dict
-    )
 
     # --- beginnings -------------------------------------------------------------------------------
 
@@ -176,7 +174,7 @@ class Oracle:
                 pending.timer
                 and all(
                     taken.state == candidate.state and not taken.outputs and not taken.alarms
-                    for taken in self._steps(candidate.state, pending.event)
+                    for taken in step(self.model, candidate.state, pending.event)
                 )
             )
         ]
@@ -194,7 +192,7 @@ class Oracle:
                 rule
                 for candidate in self.candidates
                 for pending in candidate.inbox
-                for taken in self._steps(candidate.state, pending.event)
+                for taken in step(self.model, candidate.state, pending.event)
                 for rule in taken.rules
             )
         )
@@ -216,8 +214,12 @@ class Oracle:
         return self._reasons(self.candidates)
 
     def _reasons(self, candidates: dict[Candidate, tuple[RuleName, ...]]) -> tuple[str, ...]:
-        told = [self._reasons_of(state.state, rules) for state, rules in candidates.items()]
-        return tuple(text for text in told[0] if all(text in texts for texts in told))
+        (first, rules), *others = candidates.items()
+        return tuple(
+            text
+            for text in self._reasons_of(first.state, rules)
+            if all(text in self._reasons_of(other.state, own) for other, own in others)
+        )
 
     def _reasons_of(self, state: State, history: tuple[RuleName, ...]) -> list[str]:
         environment = Environment(state.slots, state.known(), {})
@@ -238,8 +240,8 @@ class Oracle:
         areas = {process_area(self.model, candidate.state, name) for candidate in self.candidates}
         return areas.pop() if len(areas) == 1 else None
 
-    def words_in(self, image: bytes) -> Iterator[tuple[str, str]]:
-        """Yield the words that inputs hold, by name and in words."""
+    def words_in(self, image: bytes) -> tuple[tuple[str, str], ...]:
+        """Give the words that inputs hold, by name and in words."""
         return words_in(self.model, self.example(), image)
 
     def surprises(self) -> tuple[str, ...]:
@@ -324,11 +326,7 @@ class Oracle:
     # --- writes -----------------------------------------------------------------------------------
 
     def _write(self, exchange: Exchange) -> Mismatch | None:
-        touched = [
-            register
-            for register in self.model.protocol.registers.values()
-            if register.main is Access.BOTH and _overlaps(register, exchange)
-        ]
+        touched = _written(self.model, *exchange.span())
         if touched:
             if exchange.working_counter:
                 self.written = exchange.time
@@ -337,7 +335,7 @@ class Oracle:
             return None
         return self._write_outputs(exchange) or self._write_mailbox(exchange)
 
-    def _write_registers(self, touched: list[Register], exchange: Exchange) -> None:
+    def _write_registers(self, touched: tuple[Register, ...], exchange: Exchange) -> None:
         inputs = [
             (machine.name, source)
             for machine in self.model.protocol.machines.values()
@@ -357,7 +355,7 @@ class Oracle:
                     raw = state.slots[slot] or 0
                 parameters |= fields_with_before(register.fields, raw, state.slots[slot])
                 state = state.having(slot, raw)
-            changed = replace(candidate, state=state)
+            changed = candidate.having(state)
             if self._mailboxes_off(state):
                 changed = replace(changed, outbox=(), last=None)
             for machine, source in inputs:
@@ -375,7 +373,7 @@ class Oracle:
 
     def _pending(self, state: State, event: Event, time: int) -> Pending | None:
         """Give the input with its deadline; None when it changes nothing and has no deadline."""
-        steps = self._steps(state, event)
+        steps = step(self.model, state, event)
         within = max(taken.within for taken in steps)
         idle = all(s.state == state and not s.outputs and not s.alarms for s in steps)
         return None if idle and not within else Pending(event, time + within, within, time)
@@ -437,7 +435,7 @@ class Oracle:
         for event in self._outputs_of(exchange.data):
             own = (event.machine, event.input)
             rest = tuple(p for p in candidate.inbox if p.target() != own)
-            steps = self._steps(candidate.state, event)
+            steps = step(self.model, candidate.state, event)
             within = max(taken.within for taken in steps)
             until = exchange.time + within
             held = {name: candidate.state.slots[self.model.slots[name]] for name in HELD}
@@ -496,7 +494,9 @@ class Oracle:
             concerned = True
             if not exchange.working_counter:
                 busy = recent or candidate.inbox or candidate.outbox or candidate.loose
-                (after if busy or not self._alive(candidate) else refused)[candidate] = history
+                (after if busy or not self._alive(candidate.state) else refused)[candidate] = (
+                    history
+                )
                 continue
             message = self.model.decode(exchange.data)
             if message is None:
@@ -559,14 +559,12 @@ class Oracle:
             return mismatch
         if not exchange.working_counter:
             return self._read_empty(exchange)
-        for register in self.model.protocol.registers.values():
-            if _contains(register, exchange):
-                mismatch = self._read_register(register, exchange)
-                if mismatch is not None:
-                    return mismatch
-        if any(_contains(r, exchange) for r in self.model.protocol.registers.values()):
-            return None
-        return self._read_mailbox(exchange)
+        inside = _inside(self.model, *exchange.span())
+        for register in inside:
+            mismatch = self._read_register(register, exchange)
+            if mismatch is not None:
+                return mismatch
+        return None if inside else self._read_mailbox(exchange)
 
     def _read_register(self, register: Register, exchange: Exchange) -> Mismatch | None:
         offset = register.address - exchange.address
@@ -579,8 +577,8 @@ class Oracle:
         before = self._expanded(exchange.time)
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in before.items():
-            for state in seen(self.model, register, candidate.state, raw):
-                after.setdefault(replace(candidate, state=state), history)
+            for state in seen(self.model, register.name, candidate.state, raw):
+                after.setdefault(candidate.having(state), history)
         if after:
             self.candidates = after
             return None
@@ -614,7 +612,7 @@ class Oracle:
             elif exchange.working_counter:
                 for state in decided(self.model, candidate.state, exchange.data):
                     odd = odd_words(self.model, state, exchange.data)
-                    (wrong if odd else after)[replace(candidate, state=state)] = history
+                    (wrong if odd else after)[candidate.having(state)] = history
                     words |= odd
             else:
                 demanded = self._demanded(candidate, "inputs_demanded")
@@ -652,10 +650,10 @@ class Oracle:
         after = {
             candidate: history
             for candidate, history in before.items()
-            if not (full and self._absent(candidate))
+            if not (full and self._absent(candidate.state))
             and (
                 candidate.loose
-                or not self._alive(candidate)
+                or not self._alive(candidate.state)
                 or (full and bool(candidate.outbox or self.model.own))
                 or (not full and (not candidate.outbox or exchange.time <= candidate.ready))
             )
@@ -691,9 +689,9 @@ class Oracle:
         before = self._expanded(exchange.time)
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in before.items():
-            if message is not None and self._absent(candidate):
+            if message is not None and self._absent(candidate.state):
                 continue
-            if candidate.loose or not self._alive(candidate):
+            if candidate.loose or not self._alive(candidate.state):
                 loose = Loose.NONE if candidate.loose is Loose.ONE else candidate.loose
                 left = replace(candidate, outbox=candidate.outbox[1:], loose=loose, last=data)
                 after[left] = history
@@ -780,6 +778,9 @@ class Oracle:
 
     def _expanded(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
         """Give all candidates, with inputs served or, until their deadline, not yet."""
+        if all(0 <= time < p.since for candidate in self.candidates for p in candidate.inbox):
+            # nothing may be served yet; in the order in which the work below leaves them
+            return dict(reversed(self.candidates.items()))
         found: dict[Candidate, tuple[RuleName, ...]] = {}
         work = list(self.candidates.items())
         while work:
@@ -829,10 +830,10 @@ class Oracle:
         history: tuple[RuleName, ...],
     ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
         event = pending.event
-        was_alive = self._alive(candidate)
+        was_alive = self._alive(candidate.state)
         mail = bool(event.trail)
         served = []
-        for taken in self._steps(candidate.state, event):
+        for taken in step(self.model, candidate.state, event):
             due = tuple(replace(output, chain=taken.rules) for output in taken.outputs)
             outbox = candidate.outbox + due
             if mail and candidate.outbox:
@@ -847,40 +848,27 @@ class Oracle:
                     MAILBOX, (), taken.resend, again=candidate.last or b"", chain=(taken.resend,)
                 )
                 outbox = (again, *outbox)
-            after = replace(
-                candidate,
-                state=taken.state,
-                inbox=with_alarms(rest, taken, pending.since, pending.deadline),
-                outbox=outbox,
-                loose=max(candidate.loose, Loose.ONE if mail and taken.unspecified else Loose.NONE),
-            )
-            alive = self._alive(after)
+            loose, last = candidate.loose, candidate.last
+            if mail and taken.unspecified:
+                loose = max(loose, Loose.ONE)
+            alive = self._alive(taken.state)
             if alive != was_alive:
-                loose = Loose.NONE if alive else Loose.ALL
-                after = replace(after, outbox=(), loose=loose, last=None)
+                outbox, loose, last = (), Loose.NONE if alive else Loose.ALL, None
             if mail and not taken.unspecified and not candidate.outbox:
-                after = replace(after, loose=Loose.NONE)
+                loose = Loose.NONE
+            inbox = with_alarms(rest, taken, pending.since, pending.deadline)
+            after = Candidate(
+                taken.state, inbox, outbox, loose, candidate.ready, last, candidate.befell
+            )
             self.unspecified = self.unspecified or taken.unspecified
             served.append((after, history + taken.rules))
         return served
 
-    def _steps(self, state: State, event: Event) -> tuple[Step, ...]:
-        """Give the steps of an input that waits; it is asked for at every look until it is due."""
-        key = (id(event), state)
-        known = self._known_steps.get(key)
-        if known is None or known[0] is not event:
-            if len(self._known_steps) > _REMEMBERED:
-                self._known_steps.clear()
-            known = self._known_steps[key] = (event, step(self.model, state, event))
-        return known[1]
+    def _alive(self, state: State) -> bool:
+        return definitely(self.model, state, "mailbox_alive") is not False
 
-    def _alive(self, candidate: Candidate) -> bool:
-        alive = self.model.definition("mailbox_alive")
-        return alive(Environment(candidate.state.slots, {}, {})) is not False
-
-    def _absent(self, candidate: Candidate) -> bool:
-        absent = self.model.definition("mailbox_absent")
-        return absent(Environment(candidate.state.slots, {}, {})) is True
+    def _absent(self, state: State) -> bool:
+        return definitely(self.model, state, "mailbox_absent") is True
 
     def _mismatch(
         self,
@@ -917,14 +905,26 @@ def _last(
     return tuple(dict.fromkeys(history[-1] for history in own if history))
 
 
-def _overlaps(register: Register, exchange: Exchange) -> bool:
-    end = exchange.address + len(exchange.data)
-    return register.address < end and exchange.address < register.address + register.size
+@once
+def _written(model: Model, address: int, length: int) -> tuple[Register, ...]:
+    """Give the registers that a write of the MainDevice touches."""
+    return tuple(
+        register
+        for register in model.protocol.registers.values()
+        if register.main is Access.BOTH
+        and register.address < address + length
+        and address < register.address + register.size
+    )
 
 
-def _contains(register: Register, exchange: Exchange) -> bool:
-    end = exchange.address + len(exchange.data)
-    return exchange.address <= register.address and register.address + register.size <= end
+@once
+def _inside(model: Model, address: int, length: int) -> tuple[Register, ...]:
+    """Give the registers that lie wholly in an area."""
+    return tuple(
+        register
+        for register in model.protocol.registers.values()
+        if address <= register.address and register.address + register.size <= address + length
+    )
 
 
 def _covers_end(area: tuple[int, int], exchange: Exchange) -> bool:

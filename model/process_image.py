@@ -116,7 +116,8 @@ class ProcessImage:
             if value is not None:
                 yield self.target(value)
             else:
-                yield None, self._dictionary.entries[pdo, subindex].maps
+                entry = self._dictionary.entries.get((pdo, subindex))  # the device may have more
+                yield None, None if entry is None else entry.maps
 
     def target(self, value: int) -> tuple[ObjectKey | None, int]:
         """Give the entry that a mapping entry names (None: a gap), and its bits."""

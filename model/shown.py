@@ -7,20 +7,21 @@ from typing import TYPE_CHECKING
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import fields_with_before
-from ecatspec.model.process_image import INPUTS, taken
+from ecatspec.model.once import once
+from ecatspec.model.process_image import INPUTS, Mapped, taken
 from ecatspec.model.values import Pattern, Value, admits, is_any
 from ecatspec.model.words import register_words
-from ecatspec.spec.language.ir import Conditional, Expression, Name
-from ecatspec.spec.language.scope import Scope, StateRef, VariableRef, names_in, resolve
+from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.compiled import Model, View
+    from ecatspec.model.compiled import Model
     from ecatspec.model.state import State
-    from ecatspec.spec.language.ir import Register, Word
+    from ecatspec.spec.language.ir import Expression, Register, Word
 
 
+@once
 def enabled(model: Model, state: State, name: str) -> bool | None:
     """Tell whether a SyncManager is switched on; None: not known."""
     raw = state.slots[model.slots[f"register {name}_activation"]]
@@ -29,6 +30,7 @@ def enabled(model: Model, state: State, name: str) -> bool | None:
     return bool(field_of(model.protocol, f"{name}_activation", "enabled", raw))
 
 
+@once
 def mailbox_area(model: Model, state: State, name: str) -> tuple[int, int] | None:
     """Give start and length of a mailbox; of one that was not seen set, the device's own."""
     raw = state.slots[model.slots[f"register {name}"]]
@@ -40,6 +42,7 @@ def mailbox_area(model: Model, state: State, name: str) -> tuple[int, int] | Non
     return (start, length) if length else None
 
 
+@once
 def process_area(model: Model, state: State, name: str) -> tuple[int, int] | None:
     """Give start and length of process data that are switched on."""
     if not enabled(model, state, name):
@@ -57,64 +60,64 @@ def shown_register(model: Model, register: Register, state: State) -> dict[str, 
     return {view.name: view.present(environment) for view in model.views[register.name]}
 
 
-def seen(model: Model, register: Register, state: State, raw: int) -> list[State]:
-    """Give the states after `raw` was read, none where the state does not allow it."""
+@once
+def definitely(model: Model, state: State, definition: str) -> bool | None:
+    """Tell whether a definition of the texts holds of the slots of a state; None: not known."""
+    holds = model.definition(definition)(Environment(state.slots, {}, {}))
+    return None if isinstance(holds, Pattern) else bool(holds)
+
+
+@once
+def seen(model: Model, name: str, state: State, raw: int) -> tuple[State, ...]:
+    """Give the states after `raw` was read in a register, none where the state forbids it."""
     environment = Environment(state.slots, {}, {})
-    views = model.views[register.name]
-    shown = [(view, view.present(environment)) for view in views]
+    shown = [(view, view.present(environment)) for view in model.views[name]]
     if environment.undecided:
         choice = min(environment.undecided)
         slot = model.slots[f"choice {choice}"]
-        return [
+        return tuple(
             after
             for alternative in model.protocol.choices[choice].alternatives
-            for after in seen(model, register, state.having(slot, alternative.name), raw)
-        ]
+            for after in seen(model, name, state.having(slot, alternative.name), raw)
+        )
     for view, value in shown:
         observed: int = raw >> view.low & ((1 << view.width) - 1)
         if view.truth:
             observed = bool(observed)
         if not admits(value, observed):
-            return []
+            return ()
         if isinstance(value, Pattern) and view.condition is None:
-            state = _narrowed(model, view, state, observed)
-    return [state]
+            holder = view.holder(Environment(state.slots, {}, {}))
+            state = state if holder is None else state.having(holder, observed)
+    return (state,)
 
 
-def _narrowed(model: Model, view: View, state: State, observed: int) -> State:
-    """Give the state in which the variable that the field shows has the value observed."""
-    expression: Expression = view.expression
-    environment = Environment(state.slots, {}, {})
-    while isinstance(expression, Conditional):
-        holds = model.expression(expression.condition, Scope(), None)(environment)
-        if isinstance(holds, Pattern):
-            return state
-        expression = expression.then if holds else expression.otherwise
-    if not isinstance(expression, Name):
-        return state
-    ref = resolve(model.protocol, expression.path, Scope())
-    if isinstance(ref, VariableRef | StateRef):
-        return state.having(model.slot(ref), observed)
-    return state
+@once
+def layout(model: Model, state: State, name: str) -> tuple[Mapped, ...] | None:
+    """Give what the process data of an assignment hold, in order; None: not known."""
+    return model.image.layout(Environment(state.slots, state.known(), {}), name)
 
 
-def words_in(model: Model, state: State, image: bytes) -> Iterator[tuple[str, str]]:
-    """Yield the words that inputs hold, by name and in words."""
-    environment = Environment(state.slots, state.known(), {})
-    for mapped in model.image.layout(environment, INPUTS) or ():
+@once
+def words_in(model: Model, state: State, image: bytes) -> tuple[tuple[str, str], ...]:
+    """Give the words that inputs hold, by name and in words."""
+    found = []
+    for mapped in layout(model, state, INPUTS) or ():
         word = None if mapped.key is None else model.words.get(mapped.key)
         raw = taken(image, mapped)
         if word is not None and raw is not None:
             now = fields_with_before(word.fields, raw, None)
             shown = {view.name: now[view.name] for view in model.views[word.name]}
-            yield word.name, register_words(model, word.name, shown)
+            found.append((word.name, register_words(model, word.name, shown)))
+    return tuple(found)
 
 
+@once
 def odd_words(model: Model, state: State, image: bytes) -> dict[str, Word]:
     """Give the words in the inputs that are not what the state shows."""
     environment = Environment(state.slots, state.known(), {})
     found = {}
-    for mapped in model.image.layout(environment, INPUTS) or ():
+    for mapped in layout(model, state, INPUTS) or ():
         shown = None if mapped.key is None else model.dictionary.shown.get(mapped.key)
         raw = taken(image, mapped)
         if shown is None or mapped.key is None or raw is None:
@@ -125,7 +128,8 @@ def odd_words(model: Model, state: State, image: bytes) -> dict[str, Word]:
     return found
 
 
-def decided(model: Model, state: State, image: bytes) -> list[State]:
+@once
+def decided(model: Model, state: State, image: bytes) -> tuple[State, ...]:
     """Give the states that one stands for in which machines are not known that words show."""
     states = [state]
     for name, _ in words_in(model, state, image):
@@ -134,7 +138,7 @@ def decided(model: Model, state: State, image: bytes) -> list[State]:
             if isinstance(state.slots[slot], Pattern):
                 values = model.state_names(machine)
                 states = [each.having(slot, value) for each in states for value in values]
-    return states
+    return tuple(states)
 
 
 def shown_fields(model: Model, state: State, name: str) -> dict[str, Value]:

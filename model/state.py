@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,30 +14,54 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All that the model knows of a device: one value a slot (None: undecided), known objects."""
+    """All that the model knows of a device: one value a slot (None: undecided), known objects.
+
+    The objects are in the order of their keys.
+    """
 
     slots: tuple[Value | None, ...]
     objects: tuple[tuple[ObjectKey, bytes], ...] = ()
+    _known: Mapping[ObjectKey, bytes] | None = field(default=None, compare=False, repr=False)
+    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
 
-    def known(self) -> dict[ObjectKey, bytes]:
+    def __hash__(self) -> int:
+        """Give the hash of slots and objects, worked out once."""
+        value = self._hash
+        if value is None:
+            value = hash((self.slots, self.objects))
+            object.__setattr__(self, "_hash", value)
+        return value
+
+    def known(self) -> Mapping[ObjectKey, bytes]:
         """Give the objects whose value is known."""
-        return dict(self.objects)
+        known = self._known
+        if known is None:
+            known = dict(self.objects)
+            object.__setattr__(self, "_known", known)
+        return known
 
     def keeping(self, key: ObjectKey, value: bytes) -> State:
         """Give the state in which the object `key` has `value`."""
-        objects = self.known()
-        objects[key] = value
-        return State(self.slots, tuple(sorted(objects.items())))
+        known = self.known()
+        if known.get(key) == value:
+            return self
+        place = bisect_left(self.objects, (key,))
+        rest = self.objects[place + (key in known) :]
+        objects = (*self.objects[:place], (key, value), *rest)
+        return State(self.slots, objects, {**known, key: value})
 
     def forgetting(self, key: ObjectKey) -> State:
         """Give the state in which the value of the object `key` is not known."""
+        if key not in self.known():
+            return self
         return State(self.slots, tuple(pair for pair in self.objects if pair[0] != key))
 
     def having(self, slot: int, value: Value | None) -> State:
         """Give the state with another value in one slot."""
         if self.slots[slot] == value and type(self.slots[slot]) is type(value):
             return self
-        return State((*self.slots[:slot], value, *self.slots[slot + 1 :]), self.objects)
+        slots = (*self.slots[:slot], value, *self.slots[slot + 1 :])
+        return State(slots, self.objects, self._known)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +70,18 @@ class Event:
 
     machine: str
     input: str
-    parameters: Mapping[str, Value] = field(hash=False)
+    parameters: Mapping[str, Value]
     trail: tuple[str, ...] = ()
+    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
+
+    def __hash__(self) -> int:
+        """Give the hash of all, parameters in any order, worked out once."""
+        value = self._hash
+        if value is None:
+            parameters = frozenset(self.parameters.items())
+            value = hash((self.machine, self.input, self.trail, parameters))
+            object.__setattr__(self, "_hash", value)
+        return value
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,9 @@ from ecatspec.model.interpreter import (
     later_fields,
     step,
 )
+from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, placed
+from ecatspec.model.shown import definitely, layout
 from ecatspec.model.state import Event, Output, State, Step
 from ecatspec.model.values import Pattern, Value, concrete
 from ecatspec.spec.language.scope import IMAGE
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 SdoServer: TypeAlias = Callable[[bytes], list[bytes]]
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 _SECOND = 1_000_000
+_BYTE = 8
 
 
 class Quirk(StrEnum):
@@ -70,15 +73,11 @@ class VirtualSubDevice:
             default = entry.maps or 0 if entry.default is None else entry.default
             state = state.keeping((entry.index, entry.subindex), encode_value(entry, default))
         self._power_on = state
-        # AL Status Code lies above AL Status and is written first
-        self._views = sorted(
-            (
-                item
-                for item in self.model.views.items()
-                if item[1] and item[0] in protocol.registers
-            ),
-            key=lambda item: -protocol.registers[item[0]].address,
-        )
+        self._register_slots = [
+            (name.removeprefix("register "), slot)
+            for name, slot in self.model.slots.items()
+            if name.startswith("register ")
+        ]
         self.reset()
 
     def reset(self) -> None:
@@ -149,10 +148,8 @@ class VirtualSubDevice:
         self._show()
 
     def _registers(self) -> None:
-        for name, slot in self.model.slots.items():
-            kind, _, register = name.partition(" ")
-            if kind == "register":
-                self.state = self.state.having(slot, self.esc.register(register))
+        for register, slot in self._register_slots:
+            self.state = self.state.having(slot, self.esc.register(register))
 
     def _take_settings(self) -> None:
         managers = (*SYNC_MANAGERS, *PROCESS_DATA)
@@ -229,15 +226,14 @@ class VirtualSubDevice:
             self._send(following.outputs)
 
     def _settle(self, state: State) -> None:
-        if any(isinstance(value, Pattern) for value in state.slots):
+        if Pattern in map(type, state.slots):
             settled = tuple(None if v is None else concrete(v) for v in state.slots)
             state = State(settled, state.objects)
         if state != self.state:
             self.state = state
 
     def _alive(self) -> bool:
-        alive = self.model.definition("mailbox_alive")
-        return alive(Environment(self.state.slots, {}, {})) is True
+        return definitely(self.model, self.state, "mailbox_alive") is True
 
     def _is_sdo(self, message: Message) -> bool:
         return message.fields.get("service") == self._request_service
@@ -283,29 +279,42 @@ class VirtualSubDevice:
         if self.state is self._shown:
             return
         self._shown = self.state
-        environment = Environment(self.state.slots, self.state.known(), {})
-        self._show_inputs(environment)
-        for register, views in self._views:
-            raw = 0
-            for view in views:
-                value = view.present(environment)
-                number = 0 if isinstance(value, Pattern) or not isinstance(value, int) else value
-                raw |= int(number) << view.low
+        registers, inputs = _presented(self.model, self.state)
+        if inputs is not None:
+            self.esc.set_inputs(inputs)
+        for register, raw in registers:
             self.esc.set_register(register, raw)
 
-    def _show_inputs(self, environment: Environment) -> None:
-        layout = self.model.image.layout(environment, INPUTS)
-        if not layout or not self.model.definition("inputs_valid")(environment):
-            return
-        image = 0
-        for mapped in layout:
-            if mapped.key is not None:
-                shown = self.model.dictionary.shown.get(mapped.key)
-                value = shown(environment) if shown else environment.objects.get(mapped.key)
-                if isinstance(value, bytes):
-                    image = placed(image, mapped, int.from_bytes(value, "little"))
-        bits = sum(mapped.bits for mapped in layout)
-        self.esc.set_inputs(image.to_bytes(-(-bits // 8), "little"))
+
+@once
+def _presented(model: Model, state: State) -> tuple[tuple[tuple[str, int], ...], bytes | None]:
+    """Give what the registers show and the inputs, None where they have no content."""
+    environment = Environment(state.slots, state.known(), {})
+    registers = [r for r in model.protocol.registers.values() if model.views[r.name]]
+    shown = []
+    # AL Status Code lies above AL Status and is written first
+    for register in sorted(registers, key=lambda register: -register.address):
+        raw = 0
+        for view in model.views[register.name]:
+            value = view.present(environment)
+            number = 0 if isinstance(value, Pattern) or not isinstance(value, int) else value
+            raw |= int(number) << view.low
+        shown.append((register.name, raw))
+    return tuple(shown), _inputs(model, state, environment)
+
+
+def _inputs(model: Model, state: State, environment: Environment) -> bytes | None:
+    mapped = layout(model, state, INPUTS)
+    if not mapped or not model.definition("inputs_valid")(environment):
+        return None
+    image = 0
+    for part in mapped:
+        if part.key is not None:
+            shown = model.dictionary.shown.get(part.key)
+            value = shown(environment) if shown else environment.objects.get(part.key)
+            if isinstance(value, bytes):
+                image = placed(image, part, int.from_bytes(value, "little"))
+    return image.to_bytes(-(-sum(part.bits for part in mapped) // _BYTE), "little")
 
 
 def _delivered(taken: Step) -> bool:

@@ -698,6 +698,7 @@ class Whimsical(VirtualSubDevice):
     def _run(self, event: Event, message: Message | None = None) -> None:
         assert isinstance(self.model, Whims)
         self.model.truths.clear()
+        self.model.answers.clear()
         super()._run(event, message)
 
     def _send(self, outputs: tuple[Output, ...]) -> None:

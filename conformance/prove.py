@@ -1,0 +1,169 @@
+"""The only place for what `ecatspec prove` reports: proofs of one device as a table and as data."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.conformance.devices import Sheet
+from ecatspec.model.obligations import WORDING, Finding, Kind, Status
+from ecatspec.spec.language.load import device_names, load_device
+from ecatspec.spec.language.overlap import STANDARD
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from ecatspec.spec.language.ir import ObjectEntry, Protocol
+
+_REFERENCE: Final = "reference"
+"""The texts of this name and of names that begin so lend their objects to the standard."""
+
+
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """How an obligation ended, and the seconds of the processor that it took."""
+
+    finding: Finding
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Proofs:
+    """All that was proved of one specification, or not."""
+
+    device: str
+    timed: tuple[Timed, ...]
+
+    @property
+    def refuted(self) -> bool:
+        """Whether something is wrong."""
+        return any(t.finding.status is Status.REFUTED for t in self.timed)
+
+    @property
+    def seconds(self) -> float:
+        """The time of the processor for all of it."""
+        return sum(timed.seconds for timed in self.timed)
+
+
+def prove(
+    device: str, protocol: Protocol, progress: Callable[[int, int, str], None] | None = None
+) -> Proofs:
+    """Prove what there is to be proved of a specification.
+
+    Raises:
+        ModuleNotFoundError: The solver is not installed.
+
+    """
+    from ecatspec.model.proofs import Prover
+
+    samples = sample_objects() if protocol.name == STANDARD else ()
+    timed: list[Timed] = []
+    last = time.process_time()
+    for finding in Prover(protocol, samples).findings():
+        now = time.process_time()
+        timed.append(Timed(finding, now - last))
+        last = now
+        if progress is not None:
+            progress(0, 0, f"{device}: {finding.obligation}")
+    return Proofs(device, tuple(timed))
+
+
+def sample_objects() -> tuple[ObjectEntry, ...]:
+    """Give objects of every kind, for the standard, which has hardly any of its own.
+
+    Of the reference texts those are taken that no other is like, and those that words speak of.
+    """
+    found: dict[tuple[int, int], ObjectEntry] = {}
+    known: set[tuple[object, ...]] = set()
+    for name in device_names():
+        if not name.startswith(_REFERENCE):
+            continue
+        protocol = load_device(name)
+        worded = {word.key for word in protocol.words.values()}
+        whole: dict[int, list[ObjectEntry]] = {}
+        for entry in protocol.objects:
+            whole.setdefault(entry.index, []).append(entry)
+        for entries in whole.values():
+            kinds = {_likeness(entry) for entry in entries}
+            if kinds - known or any((e.index, e.subindex) in worded for e in entries):
+                known |= kinds
+                found |= {(e.index, e.subindex): e for e in entries}
+    return tuple(found[key] for key in sorted(found))
+
+
+def _likeness(entry: ObjectEntry) -> tuple[object, ...]:
+    return (
+        type(entry.type),
+        entry.access,
+        entry.states,
+        entry.read_states,
+        entry.constant,
+        entry.low is None,
+        entry.subindex == 0,
+    )
+
+
+# --- report ---------------------------------------------------------------------------------------
+
+
+def proof_sheet(proofs: Proofs) -> Sheet:
+    """Give one line for every kind of obligation and every machine."""
+    groups: dict[tuple[Kind, str], list[Timed]] = {}
+    for timed in proofs.timed:
+        obligation = timed.finding.obligation
+        group = "" if obligation.kind is Kind.CHOICE else obligation.group
+        groups.setdefault((obligation.kind, group), []).append(timed)
+    rows = tuple(
+        (
+            kind.value,
+            group,
+            *(sum(t.finding.status is status for t in found) for status in Status),
+            f"{sum(t.seconds for t in found):.2f}",
+        )
+        for (kind, group), found in sorted(
+            groups.items(), key=lambda item: (tuple(Kind).index(item[0][0]), item[0][1])
+        )
+    )
+    columns = ("what", "machine", *(status.value for status in Status), "seconds")
+    title = f"{proofs.device}: {len(proofs.timed)} obligations in {proofs.seconds:.1f} s"
+    return Sheet("proofs", title, columns, rows)
+
+
+def details(proofs: Proofs) -> Iterator[str]:
+    """Yield the lines for what is refuted, and shorter ones for what is bounded or not known."""
+    for timed in proofs.timed:
+        finding = timed.finding
+        if finding.status is Status.REFUTED:
+            yield f"{proofs.device}: refuted: {finding.obligation}"
+            yield from (f"    {line}" for line in finding.lines)
+            yield from (f"    at {at}" for at in dict.fromkeys(finding.places))
+        elif finding.status is Status.UNKNOWN:
+            yield f"{proofs.device}: unknown: {finding.obligation}: {finding.lines[0]}"
+        elif finding.status is Status.BOUNDED and finding.obligation.kind is Kind.PROPERTY:
+            yield f"{proofs.device}: bounded({finding.depth}): {finding.obligation}"
+
+
+def as_data(every: Iterable[Proofs]) -> list[dict[str, object]]:
+    """Give proofs as data."""
+    return [
+        {
+            "device": proofs.device,
+            "seconds": round(proofs.seconds, 3),
+            "obligations": [
+                {
+                    "kind": timed.finding.obligation.kind.name.lower(),
+                    "group": timed.finding.obligation.group,
+                    "name": timed.finding.obligation.name,
+                    "asks": WORDING[timed.finding.obligation.kind],
+                    "status": timed.finding.status.value,
+                    "depth": timed.finding.depth,
+                    "lines": list(timed.finding.lines),
+                    "places": [str(at) for at in timed.finding.places],
+                    "seconds": round(timed.seconds, 3),
+                }
+                for timed in proofs.timed
+            ],
+        }
+        for proofs in every
+    ]

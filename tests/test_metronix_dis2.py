@@ -23,7 +23,9 @@ from ecatspec.generators.case import (
 from ecatspec.generators.play import play
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
+from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import step
+from ecatspec.model.process_image import OUTPUTS
 from ecatspec.model.state import Event
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import admits
@@ -480,3 +482,11 @@ def test_the_faults_are_of_this_drive(drive: Protocol) -> None:
     for fault in faults:
         assert set(fault.clauses) <= set(drive.clauses), fault.name
         assert set(fault.clauses) & set(own_clauses(drive)), fault.name
+
+
+def test_a_mapping_longer_than_declared_is_not_known(model: Model) -> None:
+    declared = max(sub for index, sub in entries(model.protocol) if index == 0x1600)
+    counted = model.initial.keeping((0x1600, 0), bytes([declared + 1]))
+    assigned = counted.keeping((0x1C12, 0), b"\1").keeping((0x1C12, 1), b"\x00\x16")
+    environment = Environment(assigned.slots, assigned.known(), {})
+    assert model.image.layout(environment, OUTPUTS) is None

@@ -17,6 +17,6 @@ def register_cover(model: Model, _: Limits) -> Iterator[Case]:
     """Yield a case for each register: after power-on it is there, and shows what it must."""
     for register in model.protocol.registers.values():
         if register.main in {Access.READ, Access.BOTH}:
-            name = f"register/{register.name}"
+            name = f"al/register/{register.name}"
             title = f"{register.name.replace('_', ' ')} read after power-on"
             yield Case(name, title, "al", (ReadRegister(register.name),))

@@ -121,7 +121,7 @@ class Session:
                 self._write(address, data)
             case ReadRegister(register=name):
                 self._say("MainDevice", f"reads {name.replace('_', ' ')}")
-                self._read_register(name)
+                self._read_register(name, demanded=True)
             case SendFrame():
                 self._send(stimulus)
                 if stimulus.unread:
@@ -301,7 +301,7 @@ class Session:
         status = self._read_register(WATCHED[-1])
         return bool(field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status))
 
-    def _read_register(self, name: str) -> int:
+    def _read_register(self, name: str, *, demanded: bool = False) -> int:
         register = self.model.protocol.registers[name]
         self._tick()
         counter, data = self.adapter.read(register.address, register.size)
@@ -316,7 +316,12 @@ class Session:
                 }
                 self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
         told = self.oracle.reasons()
-        self._observe(self._exchange(register.address, data, counter))
+        exchange = self._exchange(register.address, data, counter)
+        if demanded and not counter:
+            mismatch = self.oracle.unreadable(name, exchange)
+            if mismatch is not None:
+                raise Deviation(mismatch)
+        self._observe(exchange)
         if name == "al_status":
             for reason in self.oracle.reasons():
                 if reason not in told:

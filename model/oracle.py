@@ -144,6 +144,20 @@ class Oracle:
             return self._write(exchange)
         return self._read(exchange)
 
+    def unreadable(self, name: str, exchange: Exchange) -> Mismatch | None:
+        """Judge a read that brought no register: one on which a machine rests can be read."""
+        register = self.model.protocol.registers[name]
+        written = (
+            source.origin
+            for machine in self.model.protocol.machines.values()
+            for source in machine.inputs
+            if source.kind == "write"
+        )
+        if not self.model.views[name] and not any(name in origin for origin in written):
+            return None  # what is there beside these depends on the controller
+        expected, observed = f"{name}: a value", f"{name}: working counter 0"
+        return self._mismatch(exchange, name, (expected,), observed, (), register.clauses)
+
     def settled(self, time: int, *, unread: bool = False) -> bool:
         """Tell whether every candidate has served its inputs, or had to by `time`.
 

@@ -1,0 +1,87 @@
+"""The only place for tests that the covers of registers and of worked examples find mistakes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.verdict import Outcome
+from ecatspec.generators.case import NO_LIMITS, ReadRegister
+from ecatspec.generators.example_cover import example_cover
+from ecatspec.generators.register_cover import register_cover
+from ecatspec.model.compiled import Model
+from ecatspec.spec.language.load import load_device
+
+if TYPE_CHECKING:
+    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.generators.case import Case
+
+DEVICE = "kollmorgen-akd"
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return Model(load_device(DEVICE))
+
+
+@pytest.fixture
+def adapter() -> Adapter:
+    return make(DEVICE, {})
+
+
+def outcome(model: Model, adapter: Adapter, case: Case) -> tuple[Outcome, tuple[str, ...]]:
+    verdict = Runner(model, adapter, adapter.describe()).judge(case)
+    return verdict.outcome, verdict.clauses
+
+
+def test_each_register_is_read_once(model: Model, adapter: Adapter) -> None:
+    cases = list(register_cover(model, NO_LIMITS))
+    read = [s.register for case in cases for s in case.stimuli if isinstance(s, ReadRegister)]
+    assert read == list(model.protocol.registers)
+    assert {outcome(model, adapter, case)[0] for case in cases} == {Outcome.PASS}
+
+
+@pytest.mark.parametrize("name", ["al_control", "al_status_code", "sync_manager_2"])
+def test_a_register_that_cannot_be_read_is_found(
+    model: Model, adapter: Adapter, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hidden = model.protocol.registers[name]
+    plain = adapter.read
+
+    def read(address: int, length: int) -> tuple[int, bytes]:
+        return (
+            (0, b"")
+            if (address, length) == (hidden.address, hidden.size)
+            else plain(address, length)
+        )
+
+    monkeypatch.setattr(adapter, "read", read)
+    (case,) = (c for c in register_cover(model, NO_LIMITS) if c.name == f"al/register/{name}")
+    found, clauses = outcome(model, adapter, case)
+    assert found is Outcome.FAIL
+    assert set(clauses) & set(hidden.clauses)
+
+
+def test_what_depends_on_the_controller_is_not_demanded(
+    model: Model, adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register = model.protocol.registers["fmmu_3"]
+    plain = adapter.read
+
+    def read(address: int, length: int) -> tuple[int, bytes]:
+        return (0, b"") if address == register.address else plain(address, length)
+
+    monkeypatch.setattr(adapter, "read", read)
+    (case,) = (c for c in register_cover(model, NO_LIMITS) if c.name == "al/register/fmmu_3")
+    assert outcome(model, adapter, case)[0] is Outcome.PASS
+
+
+def test_an_example_that_is_answered_wrongly_is_found(model: Model) -> None:
+    (case,) = example_cover(model, NO_LIMITS)
+    assert outcome(model, make(DEVICE, {}), case)[0] is Outcome.PASS
+    found, clauses = outcome(model, make(DEVICE, {"fault": "abort_without_index"}), case)
+    assert found is Outcome.FAIL
+    assert clauses

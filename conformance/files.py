@@ -6,6 +6,10 @@ import os
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+from typing import Final
+
+_READABLE: Final = 0o666
+"""What files are by default, before the user's mask."""
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -19,6 +23,9 @@ def write_whole(path: Path, text: str) -> None:
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             file.write(text)
+        mask = os.umask(0)  # it can only be read by setting it
+        os.umask(mask)
+        Path(name).chmod(_READABLE & ~mask)
         Path(name).replace(path)
     except BaseException:
         with suppress(OSError):

@@ -82,6 +82,6 @@ def test_what_depends_on_the_controller_is_not_demanded(
 def test_an_example_that_is_answered_wrongly_is_found(model: Model) -> None:
     (case,) = example_cover(model, NO_LIMITS)
     assert outcome(model, make(DEVICE, {}), case)[0] is Outcome.PASS
-    found, clauses = outcome(model, make(DEVICE, {"fault": "abort_without_index"}), case)
+    found, clauses = outcome(model, make(DEVICE, {"fault": "configuration_confirmed"}), case)
     assert found is Outcome.FAIL
     assert clauses

@@ -214,6 +214,8 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     assert [f.read_text(encoding="utf-8") for f in tmp_path.iterdir()] == ["before"]
     write_whole(file, "after")
     assert file.read_text(encoding="utf-8") == "after"
+    (tmp_path / "plain").write_text("", encoding="utf-8")
+    assert file.stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
 # --- the command ----------------------------------------------------------------------------------

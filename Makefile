@@ -47,6 +47,7 @@ docs: $(VENV)/installed  ## write the chapters and tables under docs/ anew (some
 
 bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/run.py
+	$(BIN)/python bench/complete.py
 
 clean:  ## remove everything made here
 	rm -rf $(VENV) build dist ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from ecatspec.conformance.adapters.model import make
@@ -49,11 +49,10 @@ def swapped(text: str, device: str) -> Result:
 def swaps() -> str:
     """Give the page of swaps: what each text finds in the virtual SubDevice of each device."""
     names = devices()
-    results = {}
-    for text in names:
-        for device in names:
-            print(f"{text} against {device}", file=sys.stderr)
-            results[text, device] = swapped(text, device)
+    pairs = [(text, device) for text in names for device in names]
+    with ProcessPoolExecutor() as pool:
+        found = pool.map(swapped, *zip(*pairs, strict=True))
+        results = dict(zip(pairs, found, strict=True))
     lines = [
         "# Swapped devices",
         "",

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
 
-CLAIMS, ESI_ROWS, FAULTS = 267, 28, 21
+FAULTS = 20
 PDOS: Final = 4
 TEXTS: Final = (0x1008, 0x1009, 0x100A)
 CONTAINERS: Final = range(0x6089, 0x608F)
@@ -65,7 +65,6 @@ def test_pins_and_what_stays_open(drive: Protocol) -> None:
         "mailbox_support": "present",
         "other_protocols": "absent",
         "pdo_services": "absent",
-        "segmented_download": "served",
     }
     assert not set(drive.opened) & set(drive.pins)
     # ANOM-020, ANOM-039, ANOM-040, and the areas that the manual does not print

@@ -33,8 +33,8 @@ PREFIX = {
 COUNTS = {
     "afag-se-power": (267, 199, 66, 54, 28, 48),
     "beckhoff-el6720": (33, 32, 6, 11, 0, 6),
-    "kollmorgen-akd": (469, 156, 23, 138, 62, 63),
-    "kollmorgen-s300": (189, 113, 13, 12, 0, 39),
+    "kollmorgen-akd": (469, 156, 22, 138, 65, 63),
+    "kollmorgen-s300": (189, 113, 12, 12, 0, 39),
     "metronix-dis2": (220, 154, 44, 35, 34, 43),
 }
 """Claims, clauses, those that cannot be observed, own objects, ESI rows, anomalies."""

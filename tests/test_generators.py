@@ -136,7 +136,6 @@ NOT_FIRED = {
     "process_data_prepared": "changes nothing and owes nothing",
     "process_data_unchanged": "changes nothing and owes nothing",
     "sync_lost_elsewhere": "changes nothing and owes nothing",
-    "watchdog_elsewhere": "changes nothing and owes nothing",
     "watchdog_in_safeop": "the condition watchdog_in_safeop is assumed false",
     "preop_to_safeop_held": "the condition own_reasons is assumed false",
     "safeop_to_op_held": "the condition own_reasons is assumed false",

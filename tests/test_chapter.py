@@ -58,8 +58,8 @@ def test_a_chapter_tells_what_is_wrong_chosen_and_hidden(name: str) -> None:
         r"^## Where.*|^## What was.*|^## What the.*", page, flags=re.MULTILINE
     )
     assert all(anomaly.id in wrong for anomaly in protocol.anomalies)
-    pinned = [*protocol.pins.values(), *protocol.opened.values()]
-    assert all(protocol.choices[pin.choice].wording in chosen for pin in pinned)
+    decided = (*protocol.pins, *protocol.opened)
+    assert all(protocol.choices[choice].wording in chosen for choice in decided)
     because = [c.because for c in protocol.clauses.values() if c.level.value == "unobservable"]
     assert all(why is not None and why in hidden for why in because)
 

@@ -434,7 +434,7 @@ def bytes_of(frame: str, numbers: Mapping[str, Value], free: int) -> dict[str, b
 def contents_of(frame: str) -> Iterator[dict[str, Value]]:
     first, *others = OTHER_LENGTHS.get(frame, LENGTHS)
     for place, numbers in enumerate(numbers_of(frame)):
-        known = CODEC.fixed(frame) | numbers
+        known = {**CODEC.fixed(frame), **numbers}
         yield known | bytes_of(frame, known, first)
         if place <= MIXTURES:
             yield from (known | bytes_of(frame, known, length) for length in others)

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import pytest
+from desk import to
 
-from ecatspec.generators.bringup import mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import mailbox_settings, row, way_to
 from ecatspec.generators.case import SetUpProcessData, Stimulus, WriteOutputs
 from ecatspec.generators.play import play
 from ecatspec.model.compiled import Model
@@ -108,10 +109,6 @@ def after(model: Model, *stimuli: Stimulus) -> tuple[str, bool, int]:
     device = VirtualSubDevice(model.protocol)
     play(model, device, stimuli)
     return shown(model, device)
-
-
-def to(model: Model, state: str) -> Stimulus:
-    return request(row(model, "al_state", state))
 
 
 def test_boot_is_reached_from_init(model: Model) -> None:

@@ -195,6 +195,7 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
         down = request(row(model, "al_state", "SAFEOP"))
         yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again))
         yield _in(model, f"watchdog/{name}", (*_of(way), StopOutputs(), Wait(_LONG)))
+        yield _in(model, f"sync_lost/{name}", (*_of(way), Happen("al.sync_lost")))
     for option in options:
         chosen = () if option is None else (_option(model, "connection_code", option),)
         lost = (*_of(ways.get(_ENABLED, ())), StopOutputs(), Wait(_LONG), WriteOutputs())

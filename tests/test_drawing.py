@@ -583,4 +583,4 @@ def test_wrong_wishes_are_refused_in_one_line(
 
 def test_the_help_names_the_formats() -> None:
     (option,) = [p for p in cli.cli.commands["show"].params if p.name == "form"]
-    assert option.metavar == "|".join(DRAWINGS)
+    assert option.metavar == "|".join((*DRAWINGS, "markdown"))

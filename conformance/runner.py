@@ -73,9 +73,11 @@ class Runner:
             if progress is not None:
                 progress(number, total, case.name)
             verdict = self.judge(case)
-            rules = tuple(sorted(map(str, self.session.oracle.certain_rules())))
-            shown = () if verdict.outcome is Outcome.SKIPPED else rules
-            self.verdicts.append(replace(verdict, flag=case.flag, rules=shown))
+            # where the device was not reached the oracle still knows the case before
+            untried = verdict.outcome in {Outcome.SKIPPED, Outcome.ERROR}
+            certain = () if untried else self.session.oracle.certain_rules()
+            rules = tuple(sorted(map(str, certain)))
+            self.verdicts.append(replace(verdict, flag=case.flag, rules=rules))
 
     def judge(self, case: Case) -> Verdict:
         """Run one case from power-on."""

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS, ReadRegister
 from ecatspec.generators.example_cover import example_cover
 from ecatspec.generators.register_cover import register_cover
+from ecatspec.generators.sdo_cover import named_indexes, sdo_cover
 from ecatspec.model.compiled import Model
 from ecatspec.spec.language.load import load_device
 
@@ -77,6 +79,30 @@ def test_what_depends_on_the_controller_is_not_demanded(
     monkeypatch.setattr(adapter, "read", read)
     (case,) = (c for c in register_cover(model, NO_LIMITS) if c.name == "al/register/fmmu_3")
     assert outcome(model, adapter, case)[0] is Outcome.PASS
+
+
+def test_what_a_text_names_as_missing_is_asked_for() -> None:
+    model = Model(load_device("metronix-dis2"))
+    assert named_indexes(model) == [0x1008, 0x100A, 0x60C4, 0x6089, 0x608E]
+    asked = {case.name for case in sdo_cover(model, NO_LIMITS)}
+    assert {"sdo/no_object/upload/60C4", "sdo/no_object/download/60C4"} <= asked
+
+
+def test_a_case_that_did_not_reach_the_device_has_no_rules(
+    model: Model, adapter: Adapter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner = Runner(model, adapter, adapter.describe())
+    (case,) = example_cover(model, NO_LIMITS)
+    runner.run([case], None, 1)
+
+    def reset() -> None:
+        raise AdapterError("unplugged; plug it in")
+
+    monkeypatch.setattr(adapter, "reset", reset)
+    runner.run([case], None, 1)
+    reached, unreached = runner.verdicts
+    assert reached.rules
+    assert (unreached.outcome, unreached.rules) == (Outcome.ERROR, ())
 
 
 def test_an_example_that_is_answered_wrongly_is_found(model: Model) -> None:

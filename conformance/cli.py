@@ -47,6 +47,7 @@ EXAMPLES: Final = {
     "show": "ecatspec show kollmorgen-akd al",
     "trace": "ecatspec trace kollmorgen-akd --missing",
     "prove": "ecatspec prove kollmorgen-akd",
+    "mutate": "ecatspec mutate kollmorgen-akd --own",
 }
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
@@ -119,10 +120,11 @@ def cli(context: click.Context) -> int:
     type=click.Choice(DEPTHS),
     default="default",
     show_default=True,
-    help="quick: one entry of each kind, fewer random runs.",
+    help="quick: one entry of each kind. exhaustive: complete suites for one state more, and all.",
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
 @click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
+@click.option("--replay", default="", metavar="CASE", help="Run only this case: a name or a token.")
 @click.option(
     "--hang-timeout",
     type=float,
@@ -138,6 +140,7 @@ def run(
     depth: str,
     seed: int,
     mailbox: str,
+    replay: str,
     hang_timeout: float,
 ) -> int:
     """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
@@ -148,7 +151,13 @@ def run(
     from ecatspec.conformance.devices import load
 
     protocol = load(device, mailbox)
-    options = {"depth": depth, "seed": seed, "mailbox": mailbox, "hang_timeout": hang_timeout}
+    options = {
+        "depth": depth,
+        "seed": seed,
+        "mailbox": mailbox,
+        "replay": replay,
+        "hang_timeout": hang_timeout,
+    }
     result = _run(protocol, device, dut, options)
     return _report((result,), protocol, as_json=as_json)
 
@@ -326,9 +335,15 @@ def _run(protocol: Protocol, device: str, dut: str, options: Mapping[str, Any]) 
     try:
         with _progress() as progress:
             result = run_device(device, dut, progress=progress, **options)
+    except ModuleNotFoundError as error:
+        if error.name != "z3":
+            raise
+        _refuse(str(error))
     except AdapterError as error:
         said = str(error)
         _refuse(said if ";" in said else f"{said}; repair the set-up, see ecatspec run --help")
+    if options.get("replay"):
+        return result  # one case says nothing about what a run exercises
     try:
         record.save(protocol, record.record_of(result))
     except OSError as error:
@@ -362,22 +377,64 @@ def prove(*, device: str | None, as_json: bool) -> int:
     from ecatspec.spec.language.load import device_names
     from ecatspec.spec.language.overlap import STANDARD
 
-    done = []
-    for name in [device] if device else [STANDARD, *device_names()]:
-        protocol = load(name)
-        try:
-            with _progress() as progress:
-                done.append(proofs.prove(name, protocol, progress))
-        except ModuleNotFoundError as error:
-            if error.name != "z3":
-                raise
-            _refuse("proofs need the package z3-solver; install ecatspec[prove]")
+    protocols = {name: load(name) for name in ([device] if device else [STANDARD, *device_names()])}
+    try:
+        with _progress() as progress:
+            done = list(proofs.prove_all(protocols, progress))
+    except ModuleNotFoundError as error:
+        if error.name != "z3":
+            raise
+        _refuse("proofs need the package z3-solver; install ecatspec[prove]")
+    for found in done:
         if not as_json:
-            lines = "".join(f"{line}\n" for line in proofs.details(done[-1]))
-            _print(_table(proofs.proof_sheet(done[-1])) + (lines and f"\n{lines}"))
+            lines = "".join(f"{line}\n" for line in proofs.details(found))
+            _print(_table(proofs.proof_sheet(found)) + (lines and f"\n{lines}"))
     if as_json:
         _print_json("ecatspec.prove", {"devices": proofs.as_data(done)})
     return DOES_NOT_CONFORM if any(found.refuted for found in done) else CONFORMS
+
+
+@cli.command(epilog=_example("mutate"))
+@click.argument("device")
+@click.option("--own", is_flag=True, help="Only rules that the text of DEVICE brings itself.")
+@click.option(
+    "--depth", type=click.Choice(DEPTHS), default="default", show_default=True, help="As for run."
+)
+@click.option("--workers", type=click.IntRange(1), help="Processes; all processors without it.")
+@click.option(
+    "--at-least",
+    type=click.FloatRange(0, 100),
+    default=98.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="A lower score gives exit status 1.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Give the analysis as JSON.")
+def mutate(
+    *, device: str, own: bool, depth: str, workers: int | None, at_least: float, as_json: bool
+) -> int:
+    """Measure the suite of DEVICE by the mistakes that it finds.
+
+    Every rule of the texts is made wrong in one point after the other, the virtual SubDevice of
+    the wrong text is run, and what no case notices is listed. It takes minutes.
+    """
+    from ecatspec.conformance.mutate import analyse
+
+    with _progress() as progress:
+        found = analyse(
+            device,
+            own=own,
+            depth=depth,
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+    if as_json:
+        _print_json("ecatspec.mutate", found.to_json())
+    else:
+        _print("\n".join(_table(sheet) for sheet in found.sheets()))
+        _print("".join(f"not noticed: {line}\n" for line in found.survivors()))
+    whole = all(table.kills.score == 1 for table in found.tables)
+    return CONFORMS if whole and found.score() * 100 >= at_least else DOES_NOT_CONFORM
 
 
 # --- output ---------------------------------------------------------------------------------------

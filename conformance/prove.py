@@ -1,9 +1,14 @@
-"""The only place for what `ecatspec prove` reports: proofs of one device as a table and as data."""
+"""The only place for what `ecatspec prove` reports: proofs of devices as a table and as data."""
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import signal
 import time
+from concurrent.futures import ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.devices import Sheet
@@ -12,12 +17,16 @@ from ecatspec.spec.language.load import device_names, load_device
 from ecatspec.spec.language.overlap import STANDARD
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from concurrent.futures import Future
+    from multiprocessing.queues import SimpleQueue
 
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
 
 _REFERENCE: Final = "reference"
 """The texts of this name and of names that begin so lend their objects to the standard."""
+_LOOK: Final = 0.1
+"""Seconds after which the parent looks what its workers tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +76,94 @@ def prove(
         if progress is not None:
             progress(0, 0, f"{device}: {finding.obligation}")
     return Proofs(device, tuple(timed))
+
+
+# --- several at once ------------------------------------------------------------------------------
+
+
+def prove_all(
+    protocols: Mapping[str, Protocol], progress: Callable[[int, int, str], None] | None = None
+) -> Iterator[Proofs]:
+    """Prove several specifications by name, as many at once as there are processors.
+
+    The proofs come in the order of the names. `progress` is told how many specifications are done,
+    of how many, and what is being proved. Whoever stops early ends the workers too.
+
+    Raises:
+        ModuleNotFoundError: The solver is not installed.
+
+    """
+    if len(protocols) == 1 or _processors() == 1:
+        for name, protocol in protocols.items():
+            yield prove(name, protocol, progress)
+        return
+    if find_spec("z3") is None:
+        raise ModuleNotFoundError(name="z3")
+    spawn = multiprocessing.get_context("spawn")
+    told: SimpleQueue[str] = spawn.SimpleQueue()
+    others = set(multiprocessing.active_children())
+    workers = ProcessPoolExecutor(
+        min(len(protocols), _processors()), spawn, initializer=_begin, initargs=(told,)
+    )
+    ended = False
+    try:
+        asked = {name: workers.submit(_proved, name, text) for name, text in protocols.items()}
+        for future in asked.values():
+            _watch(future, tuple(asked.values()), told, progress)
+            yield future.result()
+        ended = True
+    finally:
+        if not ended:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+        workers.shutdown(cancel_futures=True)
+
+
+def _processors() -> int:
+    """Give how many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _watch(
+    future: Future[Proofs],
+    all_of_them: tuple[Future[Proofs], ...],
+    told: SimpleQueue[str],
+    progress: Callable[[int, int, str], None] | None,
+) -> None:
+    """Wait for one proof, and pass on what the workers tell meanwhile."""
+    done = False
+    while not done:
+        done = bool(wait((future,), _LOOK).done)
+        while not told.empty():
+            what = told.get()
+            if progress is not None:
+                progress(sum(each.done() for each in all_of_them), len(all_of_them), what)
+
+
+_told: SimpleQueue[str] | None = None
+"""Where a worker says what it proves; None in the parent."""
+
+
+def _begin(told: SimpleQueue[str]) -> None:
+    """Begin a worker: Ctrl-C ends it at once and without words, its parent has them."""
+    global _told  # noqa: PLW0603  a worker has no other place for what it is begun with
+    _told = told
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _proved(name: str, protocol: Protocol) -> Proofs:
+    """Prove one specification in a worker."""
+    return prove(name, protocol, lambda _done, _total, what: _tell(what))
+
+
+def _tell(what: str) -> None:
+    if _told is not None:
+        _told.put(what)
+
+
+# --- objects for the standard ---------------------------------------------------------------------
 
 
 def sample_objects() -> tuple[ObjectEntry, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias
@@ -12,8 +13,9 @@ from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
 from ecatspec.conformance.adapter import AdapterError, DeviceCrash, DeviceHang, DeviceRubbish
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.devices import load
+from ecatspec.conformance.devices import UserError, load, nearest
 from ecatspec.conformance.session import Deviation, Session
+from ecatspec.conformance.shrink import shortest
 from ecatspec.conformance.verdict import BLAMING, Outcome, Result, TraceLine, Verdict
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
@@ -25,8 +27,11 @@ from ecatspec.generators.case import (
     SendFrame,
     Stimulus,
 )
+from ecatspec.generators.finite_cover import complete_suites
 from ecatspec.generators.strategies import requests
 from ecatspec.generators.suite import all_cases
+from ecatspec.generators.token import PREFIX, case_of, check, token_of
+from ecatspec.generators.walks import walk
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.oracle import Oracle
@@ -34,6 +39,7 @@ from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.generators.finite_cover import Complete
     from ecatspec.model.candidates import Mismatch
     from ecatspec.model.state import RuleName
     from ecatspec.model.values import ObjectKey
@@ -42,7 +48,14 @@ Progress: TypeAlias = Callable[[int, int, str], None]
 
 SHAPE = {"mailbox_support": "present", "emulation": "none"}
 """What a run takes for granted: a device with a mailbox and a controller of its own."""
-EXAMPLES = {"quick": 30, "default": 150}
+EXAMPLES = {"quick": 30, "default": 150, "exhaustive": 1000}
+"""Runs of random requests, by depth."""
+WALKS = {"quick": 0, "default": 10, "exhaustive": 200}
+"""Random walks, by depth."""
+_WALK = 60
+"""Stimuli of a walk."""
+_SHORTENING = {True: 300, False: 40}
+"""So often a case that fails is tried again to make it shorter, in virtual and in real time."""
 _ROUNDS = 12
 _STEPS = 6
 
@@ -64,7 +77,7 @@ class Runner:
         self.refusals: dict[str, str] = {}
         """Why the device refused a transition, with the first case that showed it."""
         self.session.oracle.raised = description.locals
-        self._configured: dict[ObjectKey, bytes] | None = None
+        self.configured: dict[ObjectKey, bytes] | None = None
         """What was assigned and mapped at power-on, as far as it was read; None: not read yet."""
 
     def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
@@ -78,6 +91,62 @@ class Runner:
             certain = () if untried else self.session.oracle.certain_rules()
             rules = tuple(sorted(map(str, certain)))
             self.verdicts.append(replace(verdict, flag=case.flag, rules=rules))
+
+    def run_long(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
+        """Run cases as `run` does; one that shows a new cause is made as short as it goes."""
+        known = {v.signature for v in self.verdicts if v.outcome in BLAMING}
+        for number, case in enumerate(cases):
+            self.run((case,), None, 0)
+            if progress is not None:
+                progress(number, total, case.name)
+            verdict = self.verdicts[-1]
+            if verdict.outcome in BLAMING and verdict.signature not in known:
+                known.add(verdict.signature)
+                self.verdicts[-1] = self._shortened(case, verdict)
+
+    def _shortened(self, case: Case, verdict: Verdict) -> Verdict:
+        def fails(tried: Case) -> bool:
+            again = self.judge(tried)
+            return (again.outcome, again.signature) == (verdict.outcome, verdict.signature)
+
+        tries = _SHORTENING[self.description.virtual_time]
+        try:
+            short = shortest(case, fails, tries)
+        except ValueError:
+            return replace(verdict, replay=token_of(case))  # it does not fail every time
+        return replace(
+            self.judge(short), flag=case.flag, rules=verdict.rules, replay=token_of(short)
+        )
+
+    def complete(self, depth: str, progress: Progress | None) -> list[str]:
+        """Run the complete suites of the device as it has shown to go; give what they are worth."""
+        promises = []
+        ways = dict(self.choices)
+        suites = complete_suites(
+            self.model,
+            limits_of(self.description),
+            self.description.locals,
+            {name: way for name, way in ways.items() if name in self.model.protocol.choices},
+            depth,
+        )
+        for suite in suites:
+            if suite.layer not in self.description.protocols:
+                continue
+            before = len(self.verdicts)
+            self.run_long(suite.cases(), progress, suite.suite.tests)
+            outcomes = Counter(v.outcome for v in self.verdicts[before:])
+            promises.append(f"{suite.guarantee()}; {self._worth(outcomes, suite)}")
+        return promises
+
+    def _worth(self, outcomes: Counter[Outcome], suite: Complete) -> str:
+        """Say whether a suite keeps what it promises."""
+        if bad := {o: n for o, n in outcomes.items() if o is not Outcome.PASS}:
+            counts = ", ".join(f"{count} {outcome.value}" for outcome, count in bad.items())
+            return f"promises nothing: {counts}"
+        odd = [name for name, way in suite.assumed.items() if self.choices.get(name, way) != way]
+        if odd:
+            return f"promises nothing: the device goes another way at {', '.join(sorted(odd))}"
+        return "passed"
 
     def judge(self, case: Case) -> Verdict:
         """Run one case from power-on."""
@@ -94,7 +163,7 @@ class Runner:
             return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
         self.session.trace = []
         try:
-            self.session.begin(self.choices, self._configuration())
+            self.session.begin(self.choices, self.configuration())
             for position, stimulus in enumerate(case.stimuli):
                 if position == case.prelude and case.needs is not None:
                     states = self.session.oracle.al_states()
@@ -112,7 +181,7 @@ class Runner:
             return Verdict(case.name, Outcome.ERROR, case.title, str(trouble))
         finally:
             if any(self._configures(stimulus) for stimulus in case.stimuli):
-                self._configured = None
+                self.configured = None
         for line in self.session.trace:
             if line.who == "reason":
                 self.refusals.setdefault(line.what, case.name)
@@ -124,26 +193,26 @@ class Runner:
             return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
         return Verdict(case.name, Outcome.PASS, case.title)
 
-    def _configuration(self) -> dict[ObjectKey, bytes]:
+    def configuration(self) -> dict[ObjectKey, bytes]:
         """Give what the device has assigned and mapped at power-on; read it where it may differ.
 
         A device that deviates meanwhile is left to the cases that show why.
         """
         if not has_process_data(self.model):
             return {}
-        if self._configured is None:
-            self._configured = {}
+        if self.configured is None:
+            self.configured = {}
             self.session.begin(self.choices)
             with contextlib.suppress(Deviation):
                 for stimulus in (*way_to(self.model, "PREOP"), ReadConfiguration()):
                     self.session.apply(stimulus)
-                self._configured = {
+                self.configured = {
                     key: value
                     for key, value in self.session.oracle.example().objects
                     if self._sets_up(key[0])
                 }
             self.session.trace = []
-        return self._configured
+        return self.configured
 
     def _configures(self, stimulus: Stimulus) -> bool:
         """Tell whether a request may change what is assigned or mapped."""
@@ -153,6 +222,10 @@ class Runner:
     def _sets_up(self, index: int) -> bool:
         settings = {key[0] for key in self.model.settings}
         return self.model.image.configures(index) or index in settings
+
+    def walk(self, seed: int) -> Case:
+        """Give a random walk for this device."""
+        return walk(self.model, limits_of(self.description), self.description.locals, seed, _WALK)
 
     def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
         """Vary requests at random; every new cause is shrunk to its shortest run by replay."""
@@ -173,16 +246,16 @@ class Runner:
         self, way: tuple[Stimulus, ...], examples: int, chosen_seed: int, known: set[str]
     ) -> Verdict:
         name = f"random/seed_{chosen_seed}"
-        failures: list[Verdict] = []
+        failures: list[tuple[Case, Verdict]] = []
 
         def attempt(sent: list[Stimulus]) -> None:
             stimuli = (*way, *sent, Probe())
             case = Case(name, "random requests", "sdo", stimuli, "PREOP", len(way))
             verdict = self.judge(case)
             if verdict.outcome in BLAMING and verdict.signature not in known:
-                if failures and failures[-1].signature != verdict.signature:
+                if failures and failures[-1][1].signature != verdict.signature:
                     return
-                failures.append(verdict)
+                failures.append((case, verdict))
                 raise _Found
 
         search = settings(
@@ -201,9 +274,10 @@ class Runner:
         try:
             wrapped()
         except _Found:
-            found = failures[-1]
+            case, found = failures[-1]
             last = _last_stimulus(found.trace).removeprefix("sends ").partition(":")[0]
-            return replace(found, title=f"random requests, {last} the last")
+            title = f"random requests, {last} the last"
+            return replace(found, title=title, replay=token_of(case))
         return Verdict(name, Outcome.PASS, "random requests")
 
     # --- verdicts ---------------------------------------------------------------------------------
@@ -278,21 +352,37 @@ def run_device(
     seed: int = 0,
     mailbox: str = "",
     hang_timeout: float = 10.0,
+    replay: str = "",
     progress: Progress | None = None,
 ) -> Result:
-    """Run everything against one device under test; Ctrl-C ends with what was found so far."""
+    """Run everything against one device under test; Ctrl-C ends with what was found so far.
+
+    `replay` names one case, or is the token of one: only that is run.
+
+    Raises:
+        UserError: There is no such device or case, or the set-up is wrong.
+
+    """
     began = time.monotonic()
     protocol = load(device, mailbox)
     model = Model(protocol)
     adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
     interrupted = False
+    guarantees: list[str] = []
     try:
         description = adapter.describe()
         runner = Runner(model, adapter, description)
-        cases = list(all_cases(model, limits_of(description), depth))
+        if replay:
+            cases = [_replayed(replay, model, limits_of(description))]
+        else:
+            cases = list(all_cases(model, limits_of(description), depth))
         try:
             runner.run(cases, progress, len(cases))
-            runner.explore(EXAMPLES[depth], seed, progress)
+            if not replay:
+                guarantees = runner.complete(depth, progress)
+                walks = (runner.walk(seed + number) for number in range(WALKS[depth]))
+                runner.run_long(walks, progress, WALKS[depth])
+                runner.explore(EXAMPLES[depth], seed, progress)
         except KeyboardInterrupt:
             interrupted = True
     finally:
@@ -317,7 +407,23 @@ def run_device(
             *(f"refused: {why} (first in {name})" for why, name in runner.refusals.items()),
         ),
         interrupted,
+        tuple(guarantees),
     )
+
+
+def _replayed(replay: str, model: Model, limits: Limits) -> Case:
+    """Give the case that a token holds, or that has this name."""
+    if replay.startswith(PREFIX):
+        try:
+            case = case_of(replay)
+            check(case, model)
+        except ValueError as error:
+            raise UserError(str(error)) from None
+        return case
+    found = {case.name: case for case in all_cases(model, limits)}
+    if replay not in found:
+        raise nearest("case", replay, tuple(found))
+    return found[replay]
 
 
 def limits_of(description: Description) -> Limits:

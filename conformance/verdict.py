@@ -49,6 +49,8 @@ class Verdict:
     """What was broken on purpose, a key of `families.NOTES`."""
     rules: tuple[str, ...] = ()
     """The rules that the device surely went by."""
+    replay: str = ""
+    """What `--replay` takes to run the case again; empty: its name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,8 @@ class Result:
     choices: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     interrupted: bool = False
+    guarantees: tuple[str, ...] = ()
+    """What the complete suites are worth for this device, one line for each."""
 
     def count(self, outcome: Outcome) -> int:
         """Count the verdicts of one outcome."""

@@ -138,7 +138,7 @@ class Limits:
 
 
 NO_LIMITS = Limits()
-DEPTHS = ("quick", "default")
+DEPTHS = ("quick", "default", "exhaustive")
 """How much a run tries."""
 
 

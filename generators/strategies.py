@@ -2,91 +2,216 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 from hypothesis import strategies as st
 
-from ecatspec.generators.case import Repeat, SendFrame, SendSegments, Stimulus
+from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, way_to
+from ecatspec.generators.case import (
+    NO_LIMITS,
+    Happen,
+    Probe,
+    ReadRegister,
+    Repeat,
+    SendFrame,
+    SendSegments,
+    SetUpProcessData,
+    Stimulus,
+    StopOutputs,
+    Wait,
+    WriteOutputs,
+)
+from ecatspec.generators.client import Ask, Begin, Move, Segment, played
+from ecatspec.generators.families import Family, family_of, request_frames
 from ecatspec.generators.sdo_cover import is_written, read_back
 from ecatspec.generators.transfers import (
     abort,
     download,
+    entry_request,
     expedited_size,
-    initiate,
-    initiate_room,
-    segment,
-    segment_room,
+    list_request,
+    object_request,
     unsized,
     upload,
-    upload_segment,
 )
-from ecatspec.model.dictionary import size_of
+from ecatspec.model.dictionary import encode_value, size_of
+from ecatspec.spec.language.ir import Access, Bool, Bytes, Literal, Named, SInt, Text, UInt
+from ecatspec.spec.language.scope import width_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable
 
     from ecatspec.generators.case import Limits
     from ecatspec.model.compiled import Model
-    from ecatspec.spec.language.ir import ObjectEntry
+    from ecatspec.model.values import Value
+    from ecatspec.spec.language.ir import FrameField, ObjectEntry
 
 _LONGEST = 200
 """Bytes of a drawn value at most: enough for several segments over a small mailbox."""
+_BY_DEFAULT = ("reserved", "flags", "padding", "unused", "excess")
+"""Fields whose names begin so say nothing in a valid message, or follow from the others."""
+_WAITS = (500, 50_000, 600_000, 3_000_000)
+"""Microseconds: within an answer, between cycles, around and beyond a watchdog."""
 
 
-@dataclass(frozen=True, slots=True)
-class Begin:
-    """Begin a download of `value`, `first` bytes of it in the first message."""
-
-    key: tuple[int, int]
-    value: bytes
-    first: int
+# --- values and messages --------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Segment:
-    """Send the next `count` bytes; `right` tells whether the toggle bit is, `honest` the last."""
+def values_of(entry: ObjectEntry) -> st.SearchStrategy[bytes]:
+    """Draw values that an entry takes, as the bytes that travel: in its range, of its size."""
+    size = min(size_of(entry), _LONGEST)
+    match entry.type:
+        case Text():
+            signs = st.characters(min_codepoint=ord(" "), max_codepoint=ord("~"))
+            return st.text(signs, max_size=size).map(lambda text: text.encode("ascii"))
+        case Bytes():
+            return st.binary(max_size=size)
+        case Bool():
+            return st.sampled_from([b"\0", b"\1"])
+        case UInt(width) | SInt(width):
+            signed = isinstance(entry.type, SInt)
+            low = -(1 << width - 1) if signed else 0
+            high = (1 << width - signed) - 1
+            low, high = (
+                bound if stated is None else stated
+                for bound, stated in ((low, entry.low), (high, entry.high))
+            )
+            return st.integers(low, high).map(lambda number: encode_value(entry, number))
+        case _:
+            raise TypeError(f"{entry.at}: {entry.type} is no type of an object")
 
-    count: int
-    right: bool = True
-    honest: bool = True
+
+def objects(model: Model) -> st.SearchStrategy[tuple[ObjectEntry, bytes]]:
+    """Draw declared entries, each with a value that it takes."""
+
+    def valued(entry: ObjectEntry) -> st.SearchStrategy[tuple[ObjectEntry, bytes]]:
+        return st.tuples(st.just(entry), values_of(entry))
+
+    return st.sampled_from(model.protocol.objects).flatmap(valued)
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """Ask for a segment of an upload."""
+def frames(model: Model, names: Iterable[str] | None = None) -> st.SearchStrategy[SendFrame]:
+    """Draw messages with valid fields: of the frames named, or of all that a MainDevice sends.
 
-    right: bool = True
+    Every field of the frame itself is drawn that is no constant, no count and not reserved; the
+    encoder makes the others. All of them decode to the frame again and fit into the mailbox.
+    """
+    chosen = request_frames(model) if names is None else tuple(names)
+    return st.sampled_from(chosen).flatmap(lambda name: _frame(model, name))
 
 
-Move: TypeAlias = Stimulus | Begin | Segment | Ask
+def malformed(model: Model) -> st.SearchStrategy[SendFrame]:
+    """Draw requests with one fault each: a length, a constant, a count or a reserved field."""
+
+    def broken(valid: SendFrame) -> st.SearchStrategy[SendFrame]:
+        variants = family_of(model, valid.frame, valid.fields)
+        return st.sampled_from([v.stimulus for v in variants if v.family is Family.MALFORMED])
+
+    return frames(model).flatmap(broken)
 
 
-def played(moves: Sequence[Move], limits: Limits, model: Model) -> list[Stimulus]:
-    """Give the stimuli of moves as a client makes them that knows where its transfer stands."""
-    stimuli: list[Stimulus] = []
-    toggle, rest = False, b""
-    for move in moves:
-        match move:
-            case Begin(key, value, first):
-                first = min(first, initiate_room(model, limits))
-                stimuli.append(initiate(*key, len(value), value[:first]))
-                toggle, rest = False, value[first:]
-            case Segment(count, right, honest):
-                piece = rest[: min(count, segment_room(model, limits))]
-                last = (len(piece) == len(rest)) is honest
-                stimuli.append(segment(piece, toggle=toggle is right, last=last))
-                if right:
-                    toggle, rest = not toggle, rest[len(piece) :]
-            case Ask(right):
-                stimuli.append(upload_segment(toggle=toggle is right))
-                toggle = toggle is not right
-            case SendFrame():
-                stimuli.append(move)
-                toggle = False
-            case _:
-                stimuli.append(move)
-    return stimuli
+def _frame(model: Model, name: str) -> st.SearchStrategy[SendFrame]:
+    codec = model.codec
+    area = model.parameter("mailbox_out", "length")
+    drawn: dict[str, st.SearchStrategy[Value]] = {}
+    for field in model.protocol.frames[name].fields:
+        made = field.name in codec.fixed(name) or codec.is_derived(name, field.name)
+        if made or field.filled is not None or field.name.startswith(_BY_DEFAULT):
+            continue
+        drawn[field.name] = _field(model, name, field)
+
+    def sound(fields: dict[str, Value]) -> bool:
+        data = codec.encode(name, fields)
+        message = codec.decode(data, codec.trail(name)[0])
+        same = message is not None and message.frame == name
+        return same and len(data) <= area
+
+    return st.fixed_dictionaries(drawn).filter(sound).map(lambda fields: SendFrame(name, fields))
+
+
+def _field(model: Model, frame: str, field: FrameField) -> st.SearchStrategy[Value]:
+    match field.type:
+        case Bytes(length=Literal(value=length)):
+            return st.binary(min_size=length, max_size=length)
+        case Bytes(length=length):
+            outside = model.codec.encode(frame, {field.name: b""})
+            room = max(0, model.parameter("mailbox_out", "length") - len(outside))
+            if length is not None:
+                room = min(room, max(1, model.codec.capacity(frame, field.name)))
+            return st.binary(min_size=int(length is not None), max_size=min(room, _LONGEST))
+        case Named(table):
+            return st.sampled_from([row.value for row in model.protocol.tables[table].rows])
+        case SInt(width):
+            return st.integers(-(1 << width - 1), (1 << width - 1) - 1)
+        case kind:
+            return st.integers(0, (1 << (width_of(model.protocol, kind) or 0)) - 1)
+
+
+# --- stimuli --------------------------------------------------------------------------------------
+
+
+def stimuli(
+    model: Model, limits: Limits = NO_LIMITS, raisable: Iterable[str] = ()
+) -> st.SearchStrategy[Stimulus]:
+    """Draw anything that a MainDevice can do, or that befalls the device: one stimulus.
+
+    `limits` says what the way to the device cannot carry, `raisable` which local events
+    (`machine.input`) can be made to befall it.
+    """
+    protocol = model.protocol
+    states = st.integers(0, (1 << protocol.tables["al_state"].width) - 1)
+    known = st.sampled_from([row.value for row in protocol.tables["al_state"].rows])
+    readable = [r.name for r in protocol.registers.values() if r.main is not Access.WRITE]
+    words = [w for key, w in model.words.items() if model.dictionary.entries[key].mappable]
+    found: list[st.SearchStrategy[Stimulus]] = [
+        st.tuples(known | states, st.booleans()).map(lambda d: request(d[0], acknowledge=d[1])),
+        st.sampled_from([*mailbox_settings(model), SetUpProcessData()]),
+        st.sampled_from([ReadRegister(name) for name in readable]),
+        st.sampled_from([WriteOutputs(), StopOutputs(), Probe(), SendSegments()]),
+        st.sampled_from([Wait(time) for time in _WAITS]),
+        uploads(model, limits),
+        downloads(model),
+        information(model),
+    ]
+    events = sorted(raisable)
+    if events:
+        found.append(st.sampled_from([Happen(event) for event in events]))
+    if words:
+        found.append(
+            st.sampled_from(words).flatmap(
+                lambda word: st.integers(0, (1 << 8 * word.size) - 1).map(
+                    lambda value: WriteOutputs({word.name: value})
+                )
+            )
+        )
+    if "malformed" not in limits.without:
+        found.append(malformed(model))
+    if "repeat" not in limits.without:
+        found.append(st.just(Repeat()))
+    return st.one_of(found)
+
+
+def traces(
+    model: Model, limits: Limits = NO_LIMITS, steps: int = 10, raisable: Iterable[str] = ()
+) -> st.SearchStrategy[list[Stimulus]]:
+    """Draw runs from power-on: the way to some AL state, and up to `steps` stimuli more."""
+    ways = st.sampled_from([way_to(model, state) for state in WAY_UP])
+    made = st.lists(moves(model, limits) | stimuli(model, limits, raisable), max_size=steps)
+    return st.tuples(ways, made).map(lambda drawn: [*drawn[0], *played(drawn[1], limits, model)])
+
+
+def information(model: Model) -> st.SearchStrategy[SendFrame]:
+    """Draw requests of SDO information."""
+    lists = [row.value for row in model.protocol.tables["object_list_type"].rows]
+    asked = st.tuples(keys(model), st.integers(0, (1 << 8) - 1))
+    return st.one_of(
+        st.sampled_from(lists).map(list_request),
+        keys(model).map(lambda key: object_request(key[0])),
+        asked.map(lambda drawn: entry_request(*drawn[0], drawn[1])),
+    )
+
+
+# --- SDO ------------------------------------------------------------------------------------------
 
 
 def keys(model: Model) -> st.SearchStrategy[tuple[int, int]]:

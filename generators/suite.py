@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.generators.boundary_cover import boundary_cover
 from ecatspec.generators.complete_cover import complete_cover
 from ecatspec.generators.configuration_cover import configuration_cover
 from ecatspec.generators.drive_cover import drive_cover
@@ -43,21 +44,39 @@ GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = Map
 )
 
 
+_SHORTENED: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
+    {
+        "quick": frozenset(GENERATORS),
+        "default": frozenset({"transfers", "complete", "information"}),
+        "exhaustive": frozenset(),
+    }
+)
+"""By depth: the generators of whose cases that differ in the entry only one of a kind is taken."""
+
+
 def all_cases(model: Model, limits: Limits, depth: str = "default") -> Iterator[Case]:
     """Yield all fixed cases of a protocol in the order in which they run.
 
-    `quick`: of cases that differ in the entry only, those of one entry of each kind.
+    `quick`: of cases that differ in the entry only, those of one entry of each kind. `default`:
+    every entry is read and written, in all shapes of a transfer one of each kind. `exhaustive`:
+    all of them, and the boundaries of the guards.
+
+    Raises:
+        MissingSolverError: The boundaries need the solver.
+
     """
-    kinds = _kinds(model) if depth == "quick" else {}
+    kinds = _kinds(model)
     seen: set[tuple[str, object]] = set()
-    for generate in GENERATORS.values():
+    for name, generate in GENERATORS.items():
         for case in generate(model, limits):
             what, _, key = case.name.rpartition("/")
-            kind = kinds.get(key)
+            kind = kinds.get(key) if name in _SHORTENED[depth] else None
             if kind is not None and (what, kind) in seen:
                 continue
             seen.add((what, kind))
             yield case
+    if depth == "exhaustive":
+        yield from boundary_cover(model, limits)
 
 
 def _kinds(model: Model) -> dict[str, object]:

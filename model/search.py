@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Final
 from ecatspec.model.chains import Chains
 from ecatspec.model.compiled import rows_of
 from ecatspec.model.examples import Example
+from ecatspec.model.forgetful import ForgetfulSolver
 from ecatspec.model.interpreter import DELIVER, afterwards, expected_fields, later_fields, step
 from ecatspec.model.moments import Chain, Content, Fired
 from ecatspec.model.state import Event, RuleName
-from ecatspec.model.terms import Answer, Solver, key_of
+from ecatspec.model.terms import Answer, key_of
 from ecatspec.model.values import concrete
 from ecatspec.model.words import typed_words
 from ecatspec.spec.language.ir import Bool, Literal, Rule
@@ -68,7 +69,7 @@ class Search:
     def __init__(self, meaning: Meaning) -> None:
         """Begin at power-on."""
         self.meaning = meaning
-        self._solver = Solver(meaning.symbols)
+        self._solver = ForgetfulSolver(meaning.symbols)
         self._start = meaning.power_on()
         self._machines = tuple(meaning.protocol.machines)
         self._missing: set[RuleName] = set()

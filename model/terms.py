@@ -128,14 +128,14 @@ class Symbols:
     def facts(self, names: Iterable[str], told: set[str]) -> list[Term]:
         """Give what is known of symbols, and of those that this speaks of; `told` grows."""
         found: list[Term] = []
-        work = list(names)
+        work = sorted(names)  # the solver's examples depend on the order
         while work:
             name = work.pop()
             if name not in told:
                 told.add(name)
                 for holds in self._facts.get(name, ()):
                     found.append(holds)
-                    work += self.inside(holds)
+                    work += sorted(self.inside(holds))
         return found
 
 

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import itertools
 import random
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import pytest
 
-from ecatspec.generators.complete.certificate import (
-    certify,
-    certify_tests,
-    passes,
-    sufficient,
-)
+from ecatspec.generators.complete.certificate import certify, certify_tests, passes
 from ecatspec.generators.complete.chain import chain_suite
 from ecatspec.generators.complete.faults import Fault, faults, kills, mutant
+from ecatspec.generators.complete.folds import Search
+from ecatspec.generators.complete.machines import al_machine, drive_machine
 from ecatspec.generators.complete.separate import (
     characterising_set,
+    extended,
     identifiers,
     path_words,
     splitting_tree,
 )
+from ecatspec.generators.complete.sufficient import sufficient
 from ecatspec.generators.complete.suites import (
     Checked,
     Method,
@@ -34,7 +33,9 @@ from ecatspec.generators.complete.suites import (
     wp_suite,
 )
 from ecatspec.generators.complete.trie import Trie, trie_of
+from ecatspec.model.compiled import Model
 from ecatspec.model.mealy import Mealy, equivalent, minimise, read_machine, state_cover
+from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -49,6 +50,13 @@ SUITES: dict[str, Callable[[Mealy], Suite]] = {
     "CHAIN": chain_suite,
 }
 each_suite = pytest.mark.parametrize("name", sorted(SUITES))
+ONE_MORE: dict[str, Callable[[Mealy], Suite]] = {
+    "A-HSI": partial(hsi_suite, k=1),
+    "CHAIN": partial(chain_suite, k=1),
+}
+SMALL = 600
+"""Transitions of a machine that k = 1 is tried for with every run; see bench/complete.py."""
+each_with_one_more = pytest.mark.parametrize("name", sorted(ONE_MORE))
 
 
 def names(count: int) -> tuple[str, ...]:
@@ -83,6 +91,43 @@ def drawn(count: int, states: int, inputs: int = 3, outputs: int = 2) -> Iterato
         if len(found.states) > 1:
             count -= 1
             yield found
+
+
+def passing(machine: Mealy, tests: Trie, most: int) -> Iterator[Mealy | None]:
+    """Give all machines of at most so many states that pass; None: one that is not all known.
+
+    They are made while the tests are followed: an answer is as it should be, a target is tried in
+    all ways when it is first needed.
+    """
+    width = len(machine.inputs)
+    should = tests.states(machine)
+    work: list[tuple[int, tuple[int, ...], dict[int, tuple[int, int]], int]] = [(1, (0,), {}, 1)]
+    while work:
+        node, at, rows, used = work.pop()
+        while node < len(tests):
+            parent, symbol = tests.parents[node], tests.symbols[node]
+            answer = machine.out[should[parent] * width + symbol]
+            place = at[parent] * width + symbol
+            if place not in rows:
+                for target in range(min(used + 1, most)):
+                    more = {**rows, place: (target, answer)}
+                    work.append((node + 1, (*at, target), more, max(used, target + 1)))
+                break
+            if rows[place][1] != answer:
+                break
+            at = (*at, rows[place][0])
+            node += 1
+        else:
+            if len(rows) < used * width:
+                yield None
+            else:
+                next_, out = zip(*(rows[place] for place in range(used * width)), strict=True)
+                yield Mealy(names(used), machine.inputs, machine.outputs, next_, out)
+
+
+def escapes(machine: Mealy, tests: Trie, most: int) -> bool:
+    """Tell by trying all whether a machine of at most so many states passes and differs."""
+    return any(o is None or not equivalent(machine, o) for o in passing(machine, tests, most))
 
 
 @pytest.fixture(scope="module")
@@ -142,6 +187,19 @@ def by_the_book(machine: Mealy, k: int) -> Trie:
     )
 
 
+def test_extended_words_are_inputs_and_the_words_of_the_state_reached() -> None:
+    for machine in drawn(5, 4):
+        own = identifiers(machine, splitting_tree(machine)).words
+        width = len(machine.inputs)
+        for k in range(3):
+            for state, words in enumerate(extended(machine, own, k)):
+                middles = [
+                    m for size in range(k + 1) for m in itertools.product(range(width), repeat=size)
+                ]
+                wanted = trie_of(m + w for m in middles for w in own[machine.after(m, state)])
+                assert sorted(words) == sorted(wanted.words())
+
+
 @pytest.mark.parametrize("k", [0, 1, 2])
 def test_a_planned_suite_is_the_suite_of_the_book(k: int) -> None:
     for machine in drawn(10, 5):
@@ -168,9 +226,19 @@ def test_sizes(esm: Mealy, drive: Mealy) -> None:
     assert hsi_suite(drive, 1).tests == 61474
     assert hsi_suite(esm, 2).tests == 318464
     chained = chain_suite(esm)
-    assert (chained.tests, chained.symbols) <= (56, 866)
+    assert (chained.tests, chained.symbols) == (10, 813)
     chained = chain_suite(drive)
-    assert (chained.tests, chained.symbols) <= (492, 6195)
+    assert (chained.tests, chained.symbols) == (138, 5727)
+
+
+def test_one_state_more_is_chained_too(esm: Mealy) -> None:
+    chained = chain_suite(esm, k=1)
+    assert (chained.m, chained.k, chained.method) == (11, 1, Method.CHAIN)
+    assert (chained.tests, chained.symbols) == (1003, 39182)
+    assert chain_suite(esm, reset=0, k=1).tests > chained.tests
+    for make in (chain_suite, hsi_suite):
+        with pytest.raises(ValueError, match="an implementation may have more"):
+            make(esm, k=-1)
 
 
 def test_a_dearer_reset_makes_no_more_tests(esm: Mealy) -> None:
@@ -192,14 +260,26 @@ def test_no_machine_of_as_many_states_escapes(name: str) -> None:
                 assert equivalent(machine, other)
 
 
-def test_no_machine_of_one_state_more_escapes_k_1() -> None:
+@each_with_one_more
+def test_no_machine_of_one_state_more_escapes_k_1(name: str) -> None:
     draw = random.Random(3)
     minimal = [m for m in all_machines(2, 2, 2) if is_minimal(m)]
     for machine in draw.sample(minimal, 8):
-        tests = hsi_suite(machine, 1).trie()
+        tests = ONE_MORE[name](machine).trie()
         for other in small():
             if passes(machine, tests, other):
                 assert equivalent(machine, other)
+
+
+@pytest.mark.parametrize(("states", "inputs", "k"), [(2, 2, 2), (2, 3, 1), (3, 2, 1), (3, 3, 0)])
+def test_nothing_escapes_a_chained_suite_whatever_a_reset_costs(
+    states: int, inputs: int, k: int
+) -> None:
+    for machine in drawn(8, states, inputs):
+        for reset in (0, 5, 50):
+            tests = chain_suite(machine, reset, k=k).trie()
+            assert not escapes(machine, tests, len(machine.states) + k)
+            assert sufficient(machine, tests, k)
 
 
 @each_suite
@@ -260,14 +340,28 @@ def test_complete_suites_are_certified(name: str, esm: Mealy, drive: Mealy) -> N
         assert sufficient(machine, suite.trie(), 0)
 
 
-def test_one_state_more_is_certified(esm: Mealy) -> None:
-    suite = hsi_suite(esm, 1)
+@each_with_one_more
+def test_one_state_more_is_certified(name: str, esm: Mealy) -> None:
+    suite = ONE_MORE[name](esm)
     assert certify(esm, suite).checked is Checked.EXACT
     assert sufficient(esm, suite.trie(), 1)
-    assert not sufficient(esm, hsi_suite(esm).trie(), 1)
-    found = certify_tests(esm, hsi_suite(esm).trie(), 11).counterexample
+    assert not sufficient(esm, SUITES[name](esm).trie(), 1)
+    found = certify_tests(esm, SUITES[name](esm).trie(), 11).counterexample
     assert found is not None
     assert len(found.states) <= 11
+
+
+@pytest.mark.parametrize("name", device_names())
+def test_chained_suites_of_all_devices_are_certified(name: str) -> None:
+    model = Model(load_device(name))
+    for found in (al_machine(model), drive_machine(model)):
+        if found is not None:
+            machine = found.machine
+            assert certify(machine, chain_suite(machine)).checked is Checked.EXACT
+            if len(machine.next) < SMALL:
+                suite = chain_suite(machine, k=1)
+                assert certify(machine, suite).checked is Checked.EXACT
+                assert sufficient(machine, suite.trie(), 1)
 
 
 def test_too_little_effort_says_nothing_or_less(drive: Mealy) -> None:
@@ -296,6 +390,25 @@ def test_certificates_agree_with_trying_all_machines() -> None:
         assert (found.checked is Checked.EXACT) == (not escapes)
         assert not (escapes and sufficient(machine, tests, 0))
         outcomes.add(escapes)
+    assert outcomes == {True, False}
+
+
+def test_certificates_for_one_state_more_agree_with_trying_all_machines() -> None:
+    draw = random.Random(7)
+    outcomes = set()
+    for machine in (*drawn(70, 3, 2), *drawn(20, 2)):
+        most = len(machine.states) + 1
+        whole = list(draw.choice(list(ONE_MORE.values()))(machine).words())
+        for _ in range(8):
+            words = list(whole)
+            for _ in range(draw.randint(0, 2)):
+                place = draw.randrange(len(words))
+                words[place] = words[place][: -draw.randint(1, 2)]
+            tests = trie_of(words)
+            missed = escapes(machine, tests, most)
+            assert (Search(machine, tests, most, 10**7).counterexample() is not None) == missed
+            assert not (missed and sufficient(machine, tests, 1))
+            outcomes.add(missed)
     assert outcomes == {True, False}
 
 

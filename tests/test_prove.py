@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -337,6 +338,54 @@ def test_the_report_has_a_line_for_every_machine_and_tells_what_is_refuted() -> 
     assert any(line.strip().startswith("at extra.ecs:") for line in lines)
     assert found.refuted
     assert not report.Proofs("toy", ()).refuted
+
+
+# --- several at once ------------------------------------------------------------------------------
+
+
+def several() -> dict[str, Protocol]:
+    return {"one": texts(AL + TOY), "two": texts(BROKEN), "three": texts(AL)}
+
+
+def ends(proofs: Proofs) -> list[tuple[str, Status]]:
+    return [(str(t.finding.obligation), t.finding.status) for t in proofs.timed]
+
+
+def test_several_at_once_are_proved_as_one_after_the_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(report, "_processors", lambda: 2)
+    told: list[tuple[int, int, str]] = []
+    found = list(report.prove_all(several(), lambda *what: told.append(what)))
+    assert [proofs.device for proofs in found] == ["one", "two", "three"]
+    alone = [prove(name, protocol) for name, protocol in several().items()]
+    assert list(map(ends, found)) == list(map(ends, alone))
+    assert [proofs.refuted for proofs in found] == [False, True, False]
+    assert {total for _, total, _ in told} == {3}
+    assert {what.partition(":")[0] for _, _, what in told} == {"one", "two", "three"}
+
+
+def test_whoever_stops_ends_the_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "_processors", lambda: 2)
+    before = set(multiprocessing.active_children())
+    proofs = report.prove_all(several())
+    next(proofs)
+    assert set(multiprocessing.active_children()) - before
+    proofs.close()  # type: ignore[attr-defined]
+    assert not set(multiprocessing.active_children()) - before
+
+
+def test_one_specification_needs_no_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "prove", lambda name, *_: report.Proofs(name, ()))
+    assert [p.device for p in report.prove_all({"one": texts(AL)})] == ["one"]
+
+
+def test_without_the_solver_no_worker_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report, "_processors", lambda: 2)
+    monkeypatch.setattr(report, "find_spec", lambda _: None)
+    with pytest.raises(ModuleNotFoundError) as refused:
+        next(report.prove_all(several()))
+    assert refused.value.name == "z3"
 
 
 # --- the command ----------------------------------------------------------------------------------

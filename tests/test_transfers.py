@@ -21,18 +21,8 @@ from ecatspec.conformance.devices import load
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.generators.bringup import request, row, way_to
 from ecatspec.generators.case import NO_LIMITS, Probe, Repeat, SendFrame, SendSegments
-from ecatspec.generators.strategies import (
-    Ask,
-    Begin,
-    Move,
-    Segment,
-    begins,
-    commands,
-    downloads,
-    moves,
-    played,
-    uploads,
-)
+from ecatspec.generators.client import Ask, Begin, Move, Segment, played
+from ecatspec.generators.strategies import begins, commands, downloads, moves, uploads
 from ecatspec.generators.transfers import abort, normal_download, pattern, upload
 from ecatspec.model.compiled import Model
 from ecatspec.model.oracle import Oracle

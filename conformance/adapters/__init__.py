@@ -5,7 +5,8 @@
     exec:COMMAND ARGUMENTS   any program that speaks the line protocol of `process`
 
 A Python adapter is a file here with `make(device, options) -> Adapter`, a row in FACTORIES and
-a row in ADAPTERS; it runs in a process of its own.  Options follow a colon: `model:key=value`.
+a row in ADAPTERS; it runs in a process of its own, but for `model`, which is ours and cannot harm
+a run.  Options follow a colon: `model:key=value`.
 """
 
 from __future__ import annotations
@@ -115,6 +116,10 @@ def _open_hosted(
     return ProcessAdapter([*host, name, arguments], hang_timeout=hang_timeout)
 
 
+def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
+    return _make("model", device, parse_options(rest))
+
+
 def _open_command(rest: str, _device: str, hang_timeout: float) -> Adapter:
     try:
         command = shlex.split(rest)
@@ -133,7 +138,7 @@ ADAPTERS: Final[Mapping[str, Entry]] = MappingProxyType(
         "model": Entry(
             summary="the virtual SubDevice of the texts",
             example="model:fault=toggle_ignored",
-            open=partial(_open_hosted, "model"),
+            open=_open_model,
             resizable=True,
         ),
         "canopen": Entry(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 from ecatspec.conformance.adapter import (
     AdapterError,
     Description,
+    DeviceCrash,
     check_duration,
     check_span,
 )
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from ecatspec.conformance.adapter import Adapter
+    from ecatspec.spec.language.ir import Protocol
+
+_T = TypeVar("_T")
+_P = ParamSpec("_P")
 
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:
@@ -34,8 +39,12 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
         fault = faults[name]
         protocol = plant(protocol, fault)
         quirks = frozenset({Quirk(fault.quirk)} if fault.quirk else ())
-    # Every machine of the texts, and every frame that one of them may carry, is its own.
-    description = Description(
+    return VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), described(protocol))
+
+
+def described(protocol: Protocol) -> Description:
+    """Describe a virtual SubDevice: every machine of the texts is its own."""
+    return Description(
         name=f"virtual SubDevice {protocol.name}",
         protocols=frozenset(protocol.machines),
         virtual_time=True,
@@ -47,11 +56,13 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
             if source.kind == "local"
         ),
     )
-    return VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), description)
 
 
 class VirtualAdapter:
-    """The contract over a virtual SubDevice; `power_off` is done before each reset."""
+    """The contract over a virtual SubDevice; `power_off` is done before each reset.
+
+    What the device raises is its crash.
+    """
 
     def __init__(
         self,
@@ -72,22 +83,22 @@ class VirtualAdapter:
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""
         check_span(address, length)
-        return self._device.read(address, length)
+        return _answered(self._device.read, address, length)
 
     def write(self, address: int, data: bytes) -> int:
         """Write as the MainDevice."""
         check_span(address, len(data))
-        return self._device.write(address, data)
+        return _answered(self._device.write, address, data)
 
     def advance(self, seconds: float) -> None:
         """Let virtual time pass."""
         check_duration(seconds)
-        self._device.advance(seconds)
+        _answered(self._device.advance, seconds)
 
     def local(self, event: str) -> None:
         """Make a local event befall the device."""
         machine, _, name = event.partition(".")
-        self._device.happen(machine, name, {})
+        _answered(self._device.happen, machine, name, {})
 
     def close(self) -> None:
         """Nothing to release."""
@@ -95,3 +106,10 @@ class VirtualAdapter:
     def describe(self) -> Description:
         """What was given."""
         return self._description
+
+
+def _answered(ask: Callable[_P, _T], *arguments: _P.args, **words: _P.kwargs) -> _T:
+    try:
+        return ask(*arguments, **words)
+    except Exception as error:
+        raise DeviceCrash(f"{type(error).__name__}: {error}") from error

@@ -49,6 +49,7 @@ def _result(result: Result, protocol: Protocol) -> dict[str, object]:
         "findings": [_finding(finding, protocol) for finding in result.findings()],
         "verdicts": [_brief(verdict) for verdict in ordered],
         "notes": list(result.notes),
+        "guarantees": list(result.guarantees),
     }
 
 
@@ -77,6 +78,7 @@ def _finding(finding: Finding, protocol: Protocol) -> dict[str, object]:
             for line in verdict.trace
         ],
         "also": sorted(finding.also),
+        "replay": verdict.replay or verdict.case,
     }
 
 

@@ -65,6 +65,7 @@ def _summary(result: Result, protocol: Protocol) -> Iterable[str]:
     clauses = f"{len(result.clauses_covered)} of {result.clauses_total} covered"
     yield from _labelled("clauses", [clauses])
     yield from _labelled("choices", [_choice(*item, protocol) for item in _found(result)])
+    yield from _labelled("suites", result.guarantees)
     yield from _labelled("time", [f"{result.seconds:.1f} s"])
 
 
@@ -94,6 +95,7 @@ def _finding(number: int, finding: Finding, protocol: Protocol) -> Iterable[str]
     yield from _labelled("flag", [flag] if flag else [])
     yield from _labelled("at", [verdict.at] if verdict.at else [])
     yield from _labelled("case", [verdict.case])
+    yield from _labelled("replay", [f"--replay {verdict.replay or verdict.case}"])
     if verdict.trace:
         yield f"{_INDENT}trace"
         yield from _trace(verdict.trace)

@@ -5,57 +5,84 @@ the words that identify its target: where it is known which state an implementat
 next transition is tried from there.
 
 How that is known: the tests begin with the ways to all states and the words of each state, so an
-implementation of no more states has exactly these. A transition is *verified* once every word of
-its target has been seen after it, from places that are known to be in its source; then every place
-behind it is known too, in all tests that wait for it.
+implementation has n states that are certainly different. Two places after which all up to k inputs
+and the words of the states reached were seen, as in one state of the machine, are then one state
+of an implementation of n + k: else these inputs would lead to more different states than it has. A
+transition is *verified* once all that was seen after it, from places that are known to be in its
+source, and after known places of its target; then every place behind it is known too, in all tests
+that wait for it.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.complete.separate import Identifiers, identifiers, splitting_tree
+from ecatspec.generators.complete.separate import (
+    Identifiers,
+    extended,
+    identifiers,
+    splitting_tree,
+)
 from ecatspec.generators.complete.suites import Method, Suite, cover_words, suite_of
-from ecatspec.generators.complete.trie import trie_of
+from ecatspec.generators.complete.trie import branches, trie_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ecatspec.generators.complete.trie import Branches
     from ecatspec.model.mealy import Mealy, Word
 
 RESET = 5
 """What a reset costs, in inputs, where nobody says."""
 _LOOKED_AT = 2
 """So many tests that could go on are looked at; the one with the nearest work goes on."""
+_CHOSEN = 20_000
+"""In machines of so many transitions the next one is chosen; in larger ones that takes too long."""
 
 
-def chain_suite(machine: Mealy, reset: int = RESET, known: Identifiers | None = None) -> Suite:
-    """Give a chained suite for implementations of as many states as the machine (k = 0).
+def chain_suite(
+    machine: Mealy, reset: int = RESET, known: Identifiers | None = None, k: int = 0
+) -> Suite:
+    """Give a chained suite for implementations of up to `k` states more than the machine.
 
-    It finds every deterministic machine of at most `len(machine.states)` states that differs.
+    It finds every deterministic machine of at most `len(machine.states) + k` states that differs.
     `reset` is the price of a reset in inputs: a dearer one makes fewer and longer tests. The
-    machine must be minimal and reachable as a whole; memory grows with the symbols of the suite.
+    machine must be minimal and reachable as a whole; memory grows with the symbols of the suite,
+    and these with `len(machine.inputs) ** k`.
 
     Raises:
-        ValueError: The machine is not minimal, or not reachable.
+        ValueError: The machine is not minimal, or not reachable, or `k` is less than 0.
 
     """
+    if k < 0:
+        raise ValueError("k is the number of states that an implementation may have more")
     own = known or identifiers(machine, splitting_tree(machine))
-    tests = _Chain(machine, own, reset).run()
-    trie = trie_of(tests)
-    return suite_of(Method.CHAIN, machine, 0, trie)
+    tests = _Chain(machine, own, reset, k).run()
+    return suite_of(Method.CHAIN, machine, k, trie_of(tests))
 
 
 class _Chain:
-    """Tests that grow. A transition is the place of its entry in the tables of the machine."""
+    """Tests that grow.
+
+    A place is a transition, by its entry in the tables of the machine, or after these a state:
+    that all its words were seen from known places of it. Both have words to be seen: those of the
+    target of the transition, or of the state.
+    """
 
     __slots__ = (
         "at",
+        "branches",
+        "chosen",
         "count",
         "cover",
         "failed",
+        "first",
+        "identify",
+        "into",
         "known",
-        "left",
         "links",
         "masks",
+        "missing",
         "next",
         "open",
         "order",
@@ -64,41 +91,59 @@ class _Chain:
         "reset",
         "resumed",
         "routes",
-        "seen",
+        "size",
         "tests",
         "todo",
         "verified",
         "waiting",
+        "ways_out",
         "width",
         "words",
     )
 
-    def __init__(self, machine: Mealy, own: Identifiers, reset: int) -> None:
+    def __init__(self, machine: Mealy, own: Identifiers, reset: int, k: int) -> None:
         self.width = width = len(machine.inputs)
+        self.size = size = len(machine.next)
         count = len(machine.states)
-        self.next = machine.next
+        states = range(count)
+        self.next = [*machine.next, *states]
         self.reset = reset
         # where there is one state only, nothing tells that a transition leads to it
-        self.words = [[list(word) for word in words] or [[]] for words in own.words]
+        self.identify = [words or ((),) for words in own.words]
+        self.words = extended(machine, own.words, k)
+        self.branches = [branches(words) for words in self.words]
         self.cover = cover_words(machine)
-        self.order = sorted(range(count), key=lambda s: (len(self.cover[s]), self.cover[s]))
-        # of each transition: words of its target not seen yet, those seen as bits, all seen
-        self.left = [len(self.words[target]) for target in machine.next]
-        self.seen = [0] * len(machine.next)
-        self.verified = bytearray(len(machine.next))
+        self.first = 0
+        """How many states of the order have no work."""
+        self.order = sorted(states, key=lambda s: (len(self.cover[s]), self.cover[s]))
+        # of each place: words not seen yet, one bit a word
+        self.missing = [(1 << len(self.words[target])) - 1 for target in self.next]
+        self.verified = bytearray(size + count)
         self.count = 0
-        # of each state: transitions to verify, the last first; verified ones as target -> input
-        self.todo = [list(range((s + 1) * width - 1, s * width - 1, -1)) for s in range(count)]
+        # of each state: places to work on, the last first; verified transitions as target -> input
+        self.todo = [list(range((s + 1) * width - 1, s * width - 1, -1)) for s in states]
+        self.into: list[list[int]] = [[] for _ in states]
+        """Of each state: the transitions that lead to it."""
+        for place in range(size):
+            self.into[machine.next[place]].append(place)
+        if k:
+            # a transition is worth nothing before the words of its target were seen
+            self.todo = [[size + s] for s in states]
+        else:
+            self.verified[size:] = b"\1" * count
+        self.chosen = [-1] * count
         self.open = (1 << count) - 1
-        self.links: list[dict[int, int]] = [{} for _ in range(count)]
+        self.links: list[dict[int, int]] = [{} for _ in states]
         self.masks = [0] * count
+        self.ways_out = [0] * count
+        """Of each state: how many of its transitions are verified."""
         # of each test: its inputs, how many of them lead to a known place, the state there
         self.tests: list[list[int]] = []
         self.known: list[int] = []
         self.at: list[int] = []
         self.waiting: dict[int, list[int]] = {}
         """Tests that cannot go on before a transition is verified."""
-        self.parked: list[list[int]] = [[] for _ in range(count)]
+        self.parked: list[list[int]] = [[] for _ in states]
         """Tests that could go on, by the state that they are in."""
         self.recent: list[int] = []
         self.resumed: list[int] = []
@@ -108,29 +153,29 @@ class _Chain:
     def run(self) -> list[list[int]]:
         """Give all tests."""
         self._begin()
-        cover, todo = self.cover, self._todo
-        first, test = 0, -1
+        cover, order, test = self.cover, self.order, -1
         while True:
-            while first < len(self.order) and not todo(self.order[first]):
-                first += 1
-            if first == len(self.order):
+            while self.first < len(order) and not self._todo(order[self.first]):
+                self.first += 1
+            if self.first == len(order):
                 return self.tests
-            limit = self.reset + len(cover[self.order[first]])
+            nearest = order[self.first]
+            limit = self.reset + len(cover[nearest])
             test, found = self._continued(test, limit)
             if found is None:
                 test, found = self._parked(limit)
             if found is None:
-                state = self.order[first]
-                test, found = self._test(cover[state], state), (state, [])
+                test, found = self._test(cover[nearest], nearest), (nearest, [])
             state, way = found
             self.tests[test] += way
             self.known[test] += len(way)
             self.at[test] = state
-            place = self.todo[state][-1]
-            symbol, seen = place % self.width, self.seen[place]
-            words = self.words[self.next[place]]
-            self.tests[test].append(symbol)
-            self.tests[test] += next(w for n, w in enumerate(words) if not seen >> n & 1)
+            place = self._choose(state)
+            if place < self.size:
+                self.tests[test].append(place % self.width)
+            missing = self.missing[place]
+            number = (missing & -missing).bit_length() - 1
+            self.tests[test] += self.words[self.next[place]][number]
             if not self._goes_on(test):
                 test = -1
 
@@ -144,7 +189,7 @@ class _Chain:
                     before = self.next[before * width + symbol]
                 self._verify(before * width + self.cover[state][-1])
         for state in self.order:
-            for word in self.words[state]:
+            for word in self.identify[state]:
                 test = self._test(self.cover[state], state)
                 self.tests[test] += word
                 self._settle(test)
@@ -158,11 +203,35 @@ class _Chain:
     # --- where a test goes on ---------------------------------------------------------------------
 
     def _todo(self, state: int) -> list[int]:
-        """Give the transitions of a state to verify, with one that is not verified at the end."""
-        found, verified = self.todo[state], self.verified
-        while found and verified[found[-1]]:
+        """Give the places of a state to work on, with one that has words to be seen at the end."""
+        found, verified, missing = self.todo[state], self.verified, self.missing
+        while found and (verified[found[-1]] or not missing[found[-1]]):
             found.pop()
         return found
+
+    def _choose(self, state: int) -> int:
+        """Give the place of a state to work on: to its end, then what frees most for its price.
+
+        Once a transition is verified, the tests that wait for it go on, and so do those that look
+        at it and then take transitions of its target that are verified.
+        """
+        todo = self.todo[state]
+        if todo[-1] == self.chosen[state] or self.size > _CHOSEN:
+            return todo[-1]
+        best, at = -1.0, -1
+        for number, place in enumerate(todo):
+            words = self.missing[place].bit_count()
+            if not words or self.verified[place]:
+                continue
+            if place >= self.size:
+                at = number
+                break
+            freed = len(self.waiting.get(place, ())) + self.ways_out[self.next[place]] + 1
+            if freed / words >= best:
+                best, at = freed / words, number
+        todo[at], todo[-1] = todo[-1], todo[at]
+        self.chosen[state] = todo[-1]
+        return todo[-1]
 
     def _continued(self, test: int, limit: int) -> tuple[int, tuple[int, list[int]] | None]:
         """Give the way from where a test is to the next work; park it where that is too far."""
@@ -251,14 +320,41 @@ class _Chain:
     # --- what is known ----------------------------------------------------------------------------
 
     def _verify(self, place: int) -> None:
-        state, target = place // self.width, self.next[place]
         self.verified[place] = 1
         self.count += 1
+        if place >= self.size:
+            self._worth_while(place - self.size)
+            return
+        state, target = place // self.width, self.next[place]
+        self.ways_out[state] += 1
         self.links[state].setdefault(target, place % self.width)
         self.masks[state] |= 1 << target
         waiting = self.waiting.pop(place, None)
         if waiting:
             self.resumed += waiting
+
+    def _worth_while(self, target: int) -> None:
+        """Verify transitions to a state whose words were seen, or have them worked on."""
+        for place in self.into[target]:
+            if self.verified[place]:
+                continue
+            if self.missing[place]:
+                state = place // self.width
+                self.todo[state].append(place)
+                self.open |= 1 << state
+            else:
+                self._verify(place)
+        self.first = 0
+
+    def _note(self, place: int, inputs: Sequence[int], at: int) -> None:
+        """Note the word of a place that stands in a test there, if one does."""
+        branch = self.branches[self.next[place]]
+        while not isinstance(branch, int):
+            if at == len(inputs) or inputs[at] not in branch:
+                return
+            branch = branch[inputs[at]]
+            at += 1
+        self.missing[place] &= ~(1 << branch)
 
     def _advance(self, test: int) -> int:
         """Follow a test over verified transitions, and note the words after others.
@@ -266,19 +362,19 @@ class _Chain:
         Give the transition that is not verified and so stops it, -1 at the end of the test.
         """
         inputs, known, state = self.tests[test], self.known[test], self.at[test]
-        next_, width, verified = self.next, self.width, self.verified
+        next_, width, verified, size = self.next, self.width, self.verified, self.size
+        missing = self.missing
         end = len(inputs)
         while known < end:
+            if not verified[size + state]:
+                self._note(size + state, inputs, known)
+                if not missing[size + state]:
+                    self._verify(size + state)
             place = state * width + inputs[known]
             if not verified[place]:
-                seen = self.seen[place]
-                for number, word in enumerate(self.words[next_[place]]):
-                    after = known + 1
-                    if not seen >> number & 1 and inputs[after : after + len(word)] == word:
-                        seen |= 1 << number
-                        self.left[place] -= 1
-                self.seen[place] = seen
-                if self.left[place]:
+                if missing[place]:
+                    self._note(place, inputs, known + 1)
+                if missing[place] or not verified[size + next_[place]]:
                     self.known[test], self.at[test] = known, state
                     return place
                 self._verify(place)
@@ -295,6 +391,8 @@ class _Chain:
             place = self._advance(each)
             if place < 0:
                 self._park(each)
+            elif self._finish(each, place):
+                self.resumed.append(each)
             else:
                 self.waiting.setdefault(place, []).append(each)
 
@@ -303,26 +401,48 @@ class _Chain:
         self.parked[state].append(test)
         self.recent.append(state)
 
-    def _goes_on(self, test: int) -> bool:
-        """Follow a test that grew; tell whether it can go on from a known place.
+    def _finish(self, test: int, place: int) -> bool:
+        """Finish the word of a place that a test ends in, where one is wanted; tell whether so.
 
-        Where it stops after the beginning of a word that is wanted there, the word is finished:
-        that is cheaper than to come again.
+        That is cheaper than to come again.
         """
+        missing = self.missing[place]
+        if not missing:
+            return False
+        branch = self.branches[self.next[place]]
+        for symbol in self.tests[test][self.known[test] + 1 :]:
+            if isinstance(branch, int) or symbol not in branch:
+                return False
+            branch = branch[symbol]
+        rest = _wanted(branch, missing)
+        if not rest:
+            return False
+        self.tests[test] += rest
+        return True
+
+    def _goes_on(self, test: int) -> bool:
+        """Follow a test that grew; tell whether it can go on from a known place."""
         while True:
             place = self._advance(test)
             while self.resumed:
                 self._settle(self.resumed.pop())
             if place < 0:
                 return True
-            if self.verified[place]:
-                continue
-            rest = self.tests[test][self.known[test] + 1 :]
-            seen = self.seen[place]
-            for number, word in enumerate(self.words[self.next[place]]):
-                if not seen >> number & 1 and word[: len(rest)] == rest:
-                    self.tests[test] += word[len(rest) :]
-                    break
-            else:
+            if not self.verified[place] and not self._finish(test, place):
                 self.waiting.setdefault(place, []).append(test)
                 return False
+
+
+def _wanted(branch: Branches, missing: int) -> list[int]:
+    """Give the shortest rest of a word that is missing; none: no word is."""
+    layer: list[tuple[Branches, list[int]]] = [(branch, [])]
+    while layer:
+        below = []
+        for each, rest in layer:
+            if isinstance(each, int):
+                if missing >> each & 1:
+                    return rest
+            else:
+                below += [(part, [*rest, symbol]) for symbol, part in each.items()]
+        layer = below
+    return []

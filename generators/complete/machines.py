@@ -40,7 +40,7 @@ from ecatspec.model.values import bits_of
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Mapping
+    from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 
     from ecatspec.generators.case import Stimulus
     from ecatspec.model.compiled import Model
@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import ObjectEntry
 
 Alphabet = dict[str, tuple["Stimulus", ...]]
-_EVENTS = ("fault", "fault_gone", "mains_off", "mains_on")
+_EVENTS = ("ds402.fault", "ds402.fault_gone", "ds402.mains_off", "ds402.mains_on")
+ALL_EVENTS = frozenset(_EVENTS)
+"""The local events that the machines of a drive have as inputs."""
 _REPLY_FIELDS = ("toggle", "last")
 
 
@@ -86,14 +88,16 @@ class Driven:
         looks: tuple[Callable[[Driven], str], ...],
         slots: Iterable[str],
         choices: Mapping[str, str] | None = None,
+        device: VirtualSubDevice | None = None,
     ) -> None:
         """Take what leads to the beginning, the inputs, and what is looked at after each.
 
         `slots` are the slots of the model, by name, that tell states apart; what is seen, the
-        SyncManagers and the outputs that are written do so too. `choices` go as given.
+        SyncManagers and the outputs that are written do so too. `choices` go as given. `device`
+        is driven; without it a new one.
         """
         self.model = model
-        self.device = VirtualSubDevice(model.protocol)
+        self.device = VirtualSubDevice(model.protocol) if device is None else device
         self.prelude = prelude
         self.alphabet = alphabet
         self.looks = looks
@@ -242,7 +246,11 @@ def _kind(model: Model, data: bytes) -> str:
 # --- the machines ---------------------------------------------------------------------------------
 
 
-def al_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstraction:
+def al_machine(
+    model: Model,
+    choices: Mapping[str, str] | None = None,
+    device: VirtualSubDevice | None = None,
+) -> Abstraction:
     """Give the AL state machine from power-on.
 
     Inputs: mailboxes and process data set up, a mailbox SyncManager disabled, outputs written or
@@ -253,26 +261,35 @@ def al_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstra
     if has_process_data(model):
         alphabet["stop_outputs"] = (StopOutputs(),)
     slots = ("al.state", "al.error", "al.code", "process_data.state", "process_data.fed")
-    driven = Driven(model, (), alphabet, (al_status,), slots, choices)
+    driven = Driven(model, (), alphabet, (al_status,), slots, choices, device)
     return _abstraction("AL", driven)
 
 
-def drive_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstraction | None:
+def drive_machine(
+    model: Model,
+    choices: Mapping[str, str] | None = None,
+    device: VirtualSubDevice | None = None,
+    events: Collection[str] = ALL_EVENTS,
+) -> Abstraction | None:
     """Give the drive state machine of CiA 402 in OP; None: the device has none in process data.
 
-    Inputs: the control words of the commands, and what may befall the drive. Outputs: the bits of
-    the status word that tell the state, and AL Status.
+    Inputs: the control words of the commands, and those of `events` that may befall the drive.
+    Outputs: the bits of the status word that tell the state, and AL Status.
     """
     if not _drives(model):
         return None
-    alphabet = _drive_alphabet(model)
-    driven = Driven(
-        model, way_to(model, "OP"), alphabet, (drive_status, al_status), _DRIVE, choices
-    )
+    alphabet = _drive_alphabet(model, events)
+    looks = (drive_status, al_status)
+    driven = Driven(model, way_to(model, "OP"), alphabet, looks, _DRIVE, choices, device)
     return _abstraction("DS402", driven)
 
 
-def al_drive_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstraction | None:
+def al_drive_machine(
+    model: Model,
+    choices: Mapping[str, str] | None = None,
+    device: VirtualSubDevice | None = None,
+    events: Collection[str] = ALL_EVENTS,
+) -> Abstraction | None:
     """Give AL and drive together, from OP; None: the device is no drive.
 
     Inputs: requests of SAFEOP and OP, the commands that go on and back, faults. Outputs as for the
@@ -280,12 +297,14 @@ def al_drive_machine(model: Model, choices: Mapping[str, str] | None = None) -> 
     """
     if not _drives(model):
         return None
-    alphabet = {name: own for name, own in _drive_alphabet(model).items() if name in _TOGETHER}
+    whole = _drive_alphabet(model, events)
+    alphabet = {name: own for name, own in whole.items() if name in _TOGETHER}
     for name in ("SAFEOP", "OP"):
         alphabet[f"request_{name}"] = (request(row(model, "al_state", name)),)
     slots = ("al.state", "al.error", "al.code", "process_data.fed", *_DRIVE[1:])
     prelude = way_to(model, "OP")
-    driven = Driven(model, prelude, alphabet, (drive_status, al_status), slots, choices)
+    looks = (drive_status, al_status)
+    driven = Driven(model, prelude, alphabet, looks, slots, choices, device)
     return _abstraction("AL x DS402", driven)
 
 
@@ -334,12 +353,14 @@ def _drives(model: Model) -> bool:
     return has_process_data(model) and holds(model, VirtualSubDevice(model.protocol).state, CONTROL)
 
 
-def _drive_alphabet(model: Model) -> Alphabet:
+def _drive_alphabet(model: Model, events: Collection[str]) -> Alphabet:
     alphabet: Alphabet = {
         name: (WriteOutputs({CONTROL: value}),) for name, value in commands(model).items()
     }
-    inputs = {i.name for i in model.protocol.machines["ds402"].inputs}
-    alphabet |= {event: (Happen(f"ds402.{event}"),) for event in _EVENTS if event in inputs}
+    known = {f"ds402.{i.name}" for i in model.protocol.machines["ds402"].inputs}
+    for event in _EVENTS:
+        if event in known and event in events:
+            alphabet[event.partition(".")[2]] = (Happen(event),)
     return alphabet
 
 

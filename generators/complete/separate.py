@@ -191,6 +191,34 @@ def identifiers(machine: Mealy, tree: SplittingTree) -> Identifiers:
     return Identifiers(tuple(_prefix_free(words) for words in found))
 
 
+def extended(
+    machine: Mealy, words: Sequence[Sequence[Word]], k: int
+) -> tuple[tuple[Word, ...], ...]:
+    """Give for each state all up to `k` inputs, and after these the words of the state reached.
+
+    Two places after which all of this was seen as in one state of the machine are one state of
+    every implementation of at most `k` states more, where no two of its states are equivalent.
+    """
+    width = len(machine.inputs)
+    own = [tuple(each) or ((),) for each in words]
+    found = tuple(own)
+    for _ in range(k):
+        found = tuple(
+            _prefix_free(
+                [
+                    *own[state],
+                    *(
+                        (symbol, *word)
+                        for symbol in range(width)
+                        for word in found[machine.next[state * width + symbol]]
+                    ),
+                ]
+            )
+            for state in range(len(own))
+        )
+    return found
+
+
 def _prefix_free(words: list[Word]) -> tuple[Word, ...]:
     """Give the words that no other one begins with."""
     ordered = sorted(set(words))

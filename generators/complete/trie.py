@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import repeat
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from ecatspec.model.mealy import Mealy, Word
+
+Branches: TypeAlias = "dict[int, Branches] | int"
+"""Words as dictionaries by input, one in the other; at the end of each word its number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +128,21 @@ def trie_of(words: Iterable[Sequence[int]]) -> Trie:
             path[shared + 1 :] = range(first, end)
             last = word
     return Trie(parents, symbols)
+
+
+def branches(words: Sequence[Word]) -> Branches:
+    """Give words, none the beginning of another, with their numbers in this order."""
+    if len(words) == 1 and not words[0]:
+        return 0
+    root: dict[int, Branches] = {}
+    for number, word in enumerate(words):
+        branch = root
+        for symbol in word[:-1]:
+            below = branch.setdefault(symbol, {})
+            assert not isinstance(below, int), "a word begins with another one"
+            branch = below
+        branch[word[-1]] = number
+    return root
 
 
 def graft(parents: list[int], symbols: list[int], places: Sequence[int], block: Trie) -> None:

@@ -1,0 +1,559 @@
+"""The only place for kill analysis: which mistakes in a device its suite finds, and which not.
+
+The device under test is the virtual SubDevice of mutated texts, judged by the texts as they are.
+What the sound device was asked in each case, and what it answered, is kept: a mutant that answers
+the same to all of it would get the same verdict, so it is not judged there.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Final, ParamSpec, TypeAlias, TypeVar
+
+from ecatspec.conformance.adapter import DeviceFault, DeviceHang
+from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.devices import Sheet, UserError, load
+from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.verdict import BLAMING
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.complete.faults import kills
+from ecatspec.generators.complete.machines import al_drive_machine, al_machine, drive_machine
+from ecatspec.generators.finite_cover import complete_suites
+from ecatspec.generators.mutants import DEFINE, SHOWN, Operator, definitions_in, mutants
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.built import as_built
+from ecatspec.model.compiled import Model, rows_of
+from ecatspec.model.interpreter import step
+from ecatspec.model.mealy import equivalent
+from ecatspec.model.state import RuleName
+from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.load import load_standard
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from types import FrameType
+
+    from ecatspec.conformance.adapter import Description
+    from ecatspec.conformance.devices import Cell
+    from ecatspec.conformance.runner import Progress
+    from ecatspec.generators.case import Case
+    from ecatspec.generators.complete.faults import Kills
+    from ecatspec.generators.complete.machines import Abstraction
+    from ecatspec.generators.finite_cover import Complete
+    from ecatspec.generators.mutants import Mutant
+    from ecatspec.model.state import Event, State, Step
+    from ecatspec.spec.language.ir import Protocol
+
+_T = TypeVar("_T")
+_P = ParamSpec("_P")
+_PATIENCE: Final = 20.0
+"""Seconds for one case; a mutant that takes longer hangs."""
+_EXPLORING: Final = 300.0
+"""Seconds for its finite machines."""
+
+
+_EXPLORED: Final = frozenset({"al", "process_data", "ds402"})
+"""The machines that the finite machines show as a whole."""
+_FEW: Final = 20
+"""After so many cases without a difference it is looked whether there can be one."""
+
+
+class Fate(StrEnum):
+    """What became of a mutant; the words are those of the report."""
+
+    KILLED = "killed"
+    EQUIVALENT = "the same finite machines"
+    TOLERATED = "answers otherwise, as the texts allow"
+    UNNOTICED = "answers the same in every case"
+
+
+@dataclass(frozen=True, slots=True)
+class Fated:
+    """A mutant and what became of it; the case that showed it and the clauses cited there."""
+
+    mutant: Mutant
+    fate: Fate
+    case: str = ""
+    clauses: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TableKills:
+    """The single faults of a finite machine, and how many of them its complete suite kills."""
+
+    name: str
+    states: int
+    inputs: int
+    guarantee: str
+    kills: Kills
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """The mutants of the texts of a device and what became of them, in the order of the texts."""
+
+    device: str
+    depth: str
+    cases: int
+    tables: tuple[TableKills, ...]
+    fated: tuple[Fated, ...]
+
+    def count(self, fate: Fate, operator: Operator | None = None) -> int:
+        """Count the mutants of one fate, of all operators or of one."""
+        return sum(
+            each.fate is fate and operator in {None, each.mutant.operator} for each in self.fated
+        )
+
+    def score(self, operator: Operator | None = None) -> float:
+        """Give the share of killed mutants of those that show something that the texts forbid.
+
+        What answers as the device does in every case counts against it, unless the finite machines
+        are the same.
+        """
+        killed = self.count(Fate.KILLED, operator)
+        lost = self.count(Fate.UNNOTICED, operator)
+        return killed / (killed + lost) if killed + lost else 1.0
+
+    def sheets(self) -> Iterator[Sheet]:
+        """Yield the tables of the report."""
+        yield Sheet(
+            "tables",
+            "single faults of the finite machines",
+            ("machine", "states", "inputs", "suite", "faults", "equivalent", "killed", "score"),
+            tuple(
+                (
+                    table.name,
+                    table.states,
+                    table.inputs,
+                    table.guarantee,
+                    table.kills.faults,
+                    table.kills.equivalent,
+                    table.kills.killed,
+                    _percent(table.kills.score),
+                )
+                for table in self.tables
+            ),
+        )
+        rows = [(operator.value, self._row(operator)) for operator in Operator]
+        rows.append(("all", self._row(None)))
+        yield Sheet(
+            "mutants",
+            f"mutants of the texts, {self.cases} cases of depth {self.depth}",
+            ("mistake", "mutants", *(fate.value for fate in Fate), "score"),
+            tuple((name, *row) for name, row in rows),
+        )
+
+    def _row(self, operator: Operator | None) -> tuple[Cell, ...]:
+        counts = [self.count(fate, operator) for fate in Fate]
+        return (sum(counts), *counts, _percent(self.score(operator)))
+
+    def survivors(self) -> Iterator[str]:
+        """Yield a line for every mutant that no case noticed, and nothing proved equivalent."""
+        for each in self.fated:
+            if each.fate is Fate.UNNOTICED:
+                yield f"{each.mutant.at}: {each.mutant}"
+
+    def to_json(self) -> dict[str, object]:
+        """Give the analysis as data."""
+        return {
+            "device": self.device,
+            "depth": self.depth,
+            "cases": self.cases,
+            "score": round(self.score(), 4),
+            "tables": [
+                {
+                    "machine": table.name,
+                    "states": table.states,
+                    "inputs": table.inputs,
+                    "guarantee": table.guarantee,
+                    "faults": table.kills.faults,
+                    "equivalent": table.kills.equivalent,
+                    "killed": table.kills.killed,
+                }
+                for table in self.tables
+            ],
+            "mutants": [
+                {
+                    "place": each.mutant.place,
+                    "mistake": each.mutant.operator.name.lower(),
+                    "before": each.mutant.before,
+                    "after": each.mutant.after,
+                    "at": str(each.mutant.at),
+                    "fate": each.fate.name.lower(),
+                    "case": each.case,
+                    "clauses": list(each.clauses),
+                }
+                for each in self.fated
+            ],
+        }
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+# --- a device that is listened to -----------------------------------------------------------------
+
+_Exchange: TypeAlias = tuple[str, tuple[object, ...], object]
+"""What was asked, with its arguments, and the answer."""
+
+
+class _OverdueError(BaseException):
+    """A mutant did not come to an end; nothing but what stops it may catch this."""
+
+
+class _Watched(VirtualSubDevice):
+    """A virtual SubDevice that keeps its steps."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self.steps: dict[int, _Taken] = {}
+        super().__init__(protocol)
+
+    def react(self, event: Event) -> Step:
+        taken = super().react(event)
+        self.steps[id(taken)] = _Taken(self.state, event, taken)
+        return taken
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """A step; the same input in the same state gives the same object."""
+
+    state: State
+    event: Event
+    step: Step
+
+
+class _Heard:
+    """An adapter that keeps what was exchanged since power-on."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self.device = _Watched(protocol)
+        self.adapter = VirtualAdapter(self.device, described(protocol))
+        self.log: list[_Exchange] = []
+
+    def reset(self) -> None:
+        self.log = []
+        self.device.steps = {}
+        self.adapter.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        return self._exchange(self.adapter.read, address, length)
+
+    def write(self, address: int, data: bytes) -> int:
+        return self._exchange(self.adapter.write, address, data)
+
+    def advance(self, seconds: float) -> None:
+        self._exchange(self.adapter.advance, seconds)
+
+    def local(self, event: str) -> None:
+        self._exchange(self.adapter.local, event)
+
+    def close(self) -> None:
+        self.adapter.close()
+
+    def describe(self) -> Description:
+        return self.adapter.describe()
+
+    def differs(self, log: Iterable[_Exchange]) -> bool:
+        """Tell whether it answers otherwise than another did who was asked the same."""
+        try:
+            with _overdue(_PATIENCE):
+                self.adapter.reset()
+                return any(
+                    getattr(self.adapter, asked)(*arguments) != answer
+                    for asked, arguments, answer in log
+                )
+        except (DeviceFault, _OverdueError):
+            return True
+
+    def _exchange(self, ask: Callable[_P, _T], *arguments: _P.args, **words: _P.kwargs) -> _T:
+        try:
+            answer = ask(*arguments, **words)
+        except _OverdueError:
+            raise DeviceHang("no answer in time") from None
+        self.log.append((ask.__name__, arguments, answer))
+        return answer
+
+
+# --- the suite and the sound device ---------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A case and what the sound device showed in it; `choices` are the ways that it went there."""
+
+    case: Case
+    log: tuple[_Exchange, ...]
+    steps: frozenset[int]
+    choices: dict[str, str]
+
+
+class _Ground:
+    """The texts of a device, the suite, and what the sound device shows in each case of it."""
+
+    def __init__(self, device: str, depth: str, progress: Progress | None) -> None:
+        protocol = load(device)
+        self.model = Model(protocol)
+        self.built = as_built(protocol)
+        self.heard = _Heard(self.built)
+        explorer = _Watched(self.built)
+        self.machines = _machines(explorer.model, explorer)
+        self.explored = explorer.steps
+        self.explored_rules = {r for taken in self.explored.values() for r in taken.step.rules}
+        self.explored_states = _states(explorer.model, self.explored.values())
+        self.steps: dict[int, _Taken] = {}
+        runner = Runner(self.model, self.heard, self.heard.describe())
+        runner.configuration()
+        self.asked = tuple(self.heard.log)
+        cases = list(all_cases(self.model, NO_LIMITS, depth))
+        local = self.heard.describe().locals
+        tables: list[TableKills] = []
+        for found in complete_suites(self.model, NO_LIMITS, local, {}, depth):
+            cases += found.cases()
+            tables.append(_table(found))
+        self.tables = tuple(tables)
+        self.shown: list[_Shown] = []
+        for number, case in enumerate(cases):
+            if progress is not None:
+                progress(number, len(cases), f"{device}: {case.name}")
+            runner.choices = dict(SHAPE)
+            if runner.judge(case).outcome in BLAMING:
+                raise UserError(f"{device} is blamed without a mistake in {case.name}: repair it")
+            steps = self.heard.device.steps
+            self.steps |= steps
+            log = tuple(self.heard.log)
+            self.shown.append(_Shown(case, log, frozenset(steps), runner.choices))
+        self.configured = runner.configured
+        self.groups = _groups(self.built)
+        self.built_rules = {
+            f"{machine.name}.{rule.name}": rule
+            for machine in self.built.machines.values()
+            for rule in machine.rules
+        }
+        self.speaking: dict[str, set[str]] = {}
+        for place, rule in self.built_rules.items():
+            for name in definitions_in(self.built, rule):
+                self.speaking.setdefault(f"{DEFINE}{name}", set()).add(place)
+
+    def fate(self, mutant: Mutant) -> Fated:
+        """Find out what becomes of a mutant."""
+        try:
+            with _overdue(_PATIENCE):
+                heard = _Heard(mutant.protocol)
+        except (Exception, _OverdueError):  # noqa: BLE001  it does not even come up
+            return Fated(mutant, Fate.KILLED, "power-on")
+        runner = Runner(self.model, heard, heard.describe())
+        if not heard.differs(self.asked):
+            runner.configured = self.configured
+        touched = sorted(self._touched(mutant, heard.device), key=lambda shown: len(shown.log))
+        differing: list[_Shown] = []
+        for number, shown in enumerate(touched):
+            if number == _FEW and not differing and self._equal(mutant, heard.device):
+                return Fated(mutant, Fate.EQUIVALENT)
+            if heard.differs(shown.log):
+                runner.choices = dict(SHAPE)
+                if (found := self._judged(mutant, runner, shown)) is not None:
+                    return found
+                differing.append(shown)
+        # the ways that it went in other cases it must go in these too
+        others = (shown.choices for shown in self.shown if shown not in differing)
+        ways = SHAPE | dict(way for choices in others for way in choices.items())
+        for shown in differing:
+            runner.choices = dict(ways)
+            if (found := self._judged(mutant, runner, shown)) is not None:
+                return found
+        if differing:
+            return Fated(mutant, Fate.TOLERATED, differing[0].case.name)
+        same = self._equal(mutant, heard.device)
+        return Fated(mutant, Fate.EQUIVALENT if same else Fate.UNNOTICED)
+
+    def _judged(self, mutant: Mutant, runner: Runner, shown: _Shown) -> Fated | None:
+        with _overdue(_PATIENCE):
+            verdict = runner.judge(shown.case)
+        if verdict.outcome not in BLAMING:
+            return None
+        return Fated(mutant, Fate.KILLED, shown.case.name, verdict.clauses)
+
+    def _touched(self, mutant: Mutant, device: VirtualSubDevice) -> list[_Shown]:
+        """Give the cases in which some step of the mutant is another than that of the device."""
+        if mutant.place not in self.groups and SHOWN in mutant.machines:
+            return self.shown
+        other = {key for key, taken in self.steps.items() if self._other(mutant, device, taken)}
+        return [shown for shown in self.shown if not other.isdisjoint(shown.steps)]
+
+    def _other(self, mutant: Mutant, device: VirtualSubDevice, taken: _Taken) -> bool:
+        """Tell whether the mutant steps otherwise, in what follows a step too."""
+        fired = taken.step.rules
+        if mutant.place in self.groups:
+            own = RuleName(*mutant.place.split("."))
+            if own not in fired and not (
+                mutant.checks
+                and (taken.step.unspecified or not self.groups[mutant.place].isdisjoint(fired))
+            ):
+                return False
+            if mutant.follows and own in fired:
+                return True
+        try:
+            return step(device.model, taken.state, taken.event)[0] != taken.step
+        except Exception:  # noqa: BLE001  a mutant may fail in any way
+            return True
+
+    def _equal(self, mutant: Mutant, device: VirtualSubDevice) -> bool:
+        """Tell whether the finite machines of the mutant are those of the device.
+
+        They have what the AL state machine, the process data and the drive can show. Where no
+        step of their exploration is another, they are the same and need not be explored.
+        """
+        if not mutant.machines <= _EXPLORED or not self._explored(mutant):
+            return False
+        if not any(self._other(mutant, device, taken) for taken in self.explored.values()):
+            return True
+        try:
+            with _overdue(_EXPLORING):
+                found = _machines(device.model, device)
+        except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
+            return False
+        return all(
+            equivalent(one.machine, other.machine)
+            for one, other in zip(self.machines, found, strict=True)
+        )
+
+    def _explored(self, mutant: Mutant) -> bool:
+        """Tell whether the exploration came to what is wrong, or showed that nothing can."""
+        if mutant.place in self.groups:
+            return self._came_to(mutant.place, by_input=mutant.checks)
+        return any(self._came_to(rule, by_input=False) for rule in self.speaking[mutant.place])
+
+    def _came_to(self, place: str, *, by_input: bool) -> bool:
+        rule = RuleName(*place.split("."))
+        if rule in self.explored_rules or (
+            by_input and not self.explored_rules.isdisjoint(self.groups[place])
+        ):
+            return True
+        sources = self.built_rules[place].sources
+        return not any((rule.machine, state) in self.explored_states for state in sources)
+
+
+def _table(found: Complete) -> TableKills:
+    machine = found.found.machine
+    return TableKills(
+        found.found.name,
+        len(machine.states),
+        len(machine.inputs),
+        found.suite.guarantee(),
+        kills(machine, found.suite.trie()),
+    )
+
+
+def _groups(protocol: Protocol) -> dict[str, frozenset[RuleName]]:
+    """Give for each rule those that take the same input in some state of it, itself included."""
+    return {
+        f"{machine.name}.{rule.name}": frozenset(
+            RuleName(machine.name, other.name)
+            for other in rows_of(machine)
+            if other.input == rule.input and not set(other.sources).isdisjoint(rule.sources)
+        )
+        for machine in protocol.machines.values()
+        for rule in machine.rules
+    }
+
+
+def _states(model: Model, every: Iterable[_Taken]) -> set[tuple[str, str]]:
+    """Give the states of machines, by name, in which inputs came or to which they led."""
+    states = {state for taken in every for state in (taken.state, taken.step.state)}
+    found: set[tuple[str, str]] = set()
+    for machine in model.protocol.machines:
+        names = model.state_names(machine)
+        slot = model.slots[f"{machine}.state"]
+        values = {state.slots[slot] for state in states}
+        found |= {(machine, name) for value, name in names.items() if value in values}
+    return found
+
+
+def _machines(model: Model, device: VirtualSubDevice) -> list[Abstraction]:
+    every = (al_machine, drive_machine, al_drive_machine)
+    found = (make(model, device=device) for make in every)
+    return [machine for machine in found if machine is not None]
+
+
+@contextmanager
+def _overdue(patience: float) -> Iterator[None]:
+    """Stop what a mutant does after a while; where there are no such signals it may hang."""
+
+    def stop(_: int, __: FrameType | None) -> None:
+        raise _OverdueError
+
+    old = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, patience, patience)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, old)
+
+
+# --- all of them ----------------------------------------------------------------------------------
+
+_AT_WORK: list[tuple[_Ground, Sequence[Mutant]]] = []
+"""What the workers look at; they are copies of this process and need not be told."""
+
+
+def analyse(
+    device: str,
+    *,
+    own: bool = False,
+    depth: str = "default",
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Analysis:
+    """Find out what becomes of the mutants of a device's texts.
+
+    `own`: only those of rules and definitions that the text of the device brings itself.
+
+    Raises:
+        UserError: There is no such device, or it is blamed as it is.
+
+    """
+    ground = _Ground(device, depth, progress)
+    standard = set(_files(load_standard())) if own else set()
+    every = [mutant for mutant in mutants(ground.built) if mutant.at.file not in standard]
+    fated: dict[int, Fated] = {}
+    _AT_WORK.append((ground, every))
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), _begin)
+    try:
+        work = {pool.submit(_fate, number): number for number in range(len(every))}
+        for done in as_completed(work):
+            number = work[done]
+            fate, case, clauses = done.result()
+            fated[number] = Fated(every[number], fate, case, clauses)
+            if progress is not None:
+                progress(len(fated), len(every), f"{device}: {every[number].place}")
+    finally:
+        pool.shutdown(cancel_futures=True)
+        _AT_WORK.pop()
+    ordered = tuple(fated[number] for number in range(len(every)))
+    return Analysis(device, depth, len(ground.shown), ground.tables, ordered)
+
+
+def _files(protocol: Protocol) -> Iterator[str]:
+    """Yield the files of the rules and definitions of a specification."""
+    for machine in protocol.machines.values():
+        yield from (rule.at.file for rule in machine.rules)
+    yield from (definition.at.file for definition in protocol.definitions.values())
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that waits."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _fate(number: int) -> tuple[Fate, str, tuple[str, ...]]:
+    ground, every = _AT_WORK[-1]
+    found = ground.fate(every[number])
+    return found.fate, found.case, found.clauses

@@ -16,7 +16,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeAlias, TypeVar
 
 from ecatspec.conformance.adapter import DeviceFault, DeviceHang
-from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.adapters.model import Guarded, VirtualAdapter, described
 from ecatspec.conformance.devices import Sheet, UserError, load
 from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.verdict import BLAMING
@@ -234,7 +234,7 @@ class _Heard:
 
     def __init__(self, protocol: Protocol) -> None:
         self.device = _Watched(protocol)
-        self.adapter = VirtualAdapter(self.device, described(protocol))
+        self.adapter = Guarded(VirtualAdapter(self.device, described(protocol)))
         self.log: list[_Exchange] = []
 
     def reset(self) -> None:
@@ -264,7 +264,7 @@ class _Heard:
         """Tell whether it answers otherwise than another did who was asked the same."""
         try:
             with _overdue(_PATIENCE):
-                self.adapter.reset()
+                self.reset()
                 return any(
                     getattr(self.adapter, asked)(*arguments) != answer
                     for asked, arguments, answer in log
@@ -374,8 +374,11 @@ class _Ground:
         return Fated(mutant, Fate.EQUIVALENT if same else Fate.UNNOTICED)
 
     def _judged(self, mutant: Mutant, runner: Runner, shown: _Shown) -> Fated | None:
-        with _overdue(_PATIENCE):
-            verdict = runner.judge(shown.case)
+        try:
+            with _overdue(_PATIENCE):
+                verdict = runner.judge(shown.case)
+        except _OverdueError:
+            return Fated(mutant, Fate.KILLED, shown.case.name)
         if verdict.outcome not in BLAMING:
             return None
         return Fated(mutant, Fate.KILLED, shown.case.name, verdict.clauses)

@@ -100,6 +100,8 @@ class Runner:
             if progress is not None:
                 progress(number, total, case.name)
             verdict = self.verdicts[-1]
+            if verdict.outcome is not Outcome.PASS:
+                verdict = self.verdicts[-1] = replace(verdict, replay=token_of(case))
             if verdict.outcome in BLAMING and verdict.signature not in known:
                 known.add(verdict.signature)
                 self.verdicts[-1] = self._shortened(case, verdict)
@@ -113,7 +115,7 @@ class Runner:
         try:
             short = shortest(case, fails, tries)
         except ValueError:
-            return replace(verdict, replay=token_of(case))  # it does not fail every time
+            return verdict  # it does not fail every time
         return replace(
             self.judge(short), flag=case.flag, rules=verdict.rules, replay=token_of(short)
         )

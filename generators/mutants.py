@@ -187,6 +187,8 @@ def _of_rule(protocol: Protocol, machine: Machine, rule: Rule) -> Iterator[_Chan
             yield operator, before, after, replace(rule, guard=guard)
     yield from _targets(machine, rule)
     for number, update in enumerate(rule.updates):
+        if isinstance(update.value, AnyValue):
+            continue  # what it was before is any value too
         dropped = replace(rule, updates=_without(rule.updates, number))
         yield Operator.UPDATE_DROPPED, _said(update), _NOTHING, dropped
     for number, update in enumerate(rule.after.updates if rule.after else ()):

@@ -64,7 +64,7 @@ def _fire(model: Model, state: State, event: Event) -> list[tuple[Step, tuple[Ev
     current = state.slots[model.slots[f"{event.machine}.state"]]
     if isinstance(current, Pattern):
         # whatever it does, its state is no better known than before
-        return [(Step(_forget(model, state, event.machine), (), (), 0), ())]
+        return [(Step(forgotten(model, state, event.machine), (), (), 0), ())]
     enabled: list[CompiledRule] = []
     undecided: set[str] = set()
     for rule in model.rules[event.machine, event.input]:
@@ -79,7 +79,7 @@ def _fire(model: Model, state: State, event: Event) -> list[tuple[Step, tuple[Ev
     if undecided and len(enabled) > 1:
         return _decide(model, state, event, min(undecided))
     if not enabled:
-        return [(Step(_forget(model, state, event.machine), (), (), 0, unspecified=True), ())]
+        return [(Step(forgotten(model, state, event.machine), (), (), 0, unspecified=True), ())]
     results: list[tuple[Step, tuple[Event, ...]]] = []
     for rule in enabled:
         results += _apply(model, state, event, rule)
@@ -100,8 +100,8 @@ def _apply(
     model: Model, state: State, event: Event, rule: CompiledRule
 ) -> list[tuple[Step, tuple[Event, ...]]]:
     if rule.gap:
-        forgotten = _forget(model, state, event.machine)
-        return [(Step(forgotten, (rule.name,), (), 0, unspecified=True), ())]
+        after = forgotten(model, state, event.machine)
+        return [(Step(after, (rule.name,), (), 0, unspecified=True), ())]
     environment = Environment(state.slots, state.known(), event.parameters)
     values = [(slot, getter(environment)) for slot, getter in rule.updates]
     stores = [
@@ -270,7 +270,7 @@ def _given(model: Model, event: Event, target: str, arguments: Mapping[str, Valu
     ]
 
 
-def _forget(model: Model, state: State, machine: str) -> State:
+def forgotten(model: Model, state: State, machine: str) -> State:
     """Give the state after what no text describes: the machine's variables are unknown.
 
     What words move may be in another state too: the words will show it. A device stays as it is.

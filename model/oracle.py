@@ -27,6 +27,7 @@ from ecatspec.model.interpreter import (
     differing,
     expected_fields,
     fields_with_before,
+    forgotten,
     later_fields,
     matches,
     rule_clauses,
@@ -44,6 +45,7 @@ from ecatspec.model.shown import (
     seen,
     shown_fields,
     shown_register,
+    usual_mailbox,
     words_in,
 )
 from ecatspec.model.state import Event, Output, RuleName, State
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
+MANAGERS = (*SYNC_MANAGERS, *PROCESS_DATA)
 REFUSAL = "mailbox_error"
 """The frame that may overtake an answer: the request came while another was in work."""
 HELD = ("process_data.fed", "process_data.image")
@@ -117,7 +120,8 @@ class Oracle:
                 if self.candidates:
                     base = base.having(slot, self._agreed(slot))
             elif name.startswith(("register ", "word ")):
-                base = base.having(slot, kept.slots[slot] if kept else UNKNOWN)
+                usual = usual_mailbox(self.model).get(name, UNKNOWN)
+                base = base.having(slot, kept.slots[slot] if kept else usual)
             elif not name.endswith(".state"):
                 base = base.having(slot, UNKNOWN)
         states = [base]
@@ -356,6 +360,7 @@ class Oracle:
             for source in machine.inputs
             if source.kind == "write" and any(r.name in source.origin for r in touched)
         ]
+        glances = _glances(self.model, *exchange.span())
         after: dict[Candidate, tuple[RuleName, ...]] = {}
         for candidate, history in self._expanded(exchange.time).items():
             state = candidate.state
@@ -363,20 +368,36 @@ class Oracle:
             for register in touched:
                 slot = self.model.slots[f"register {register.name}"]
                 raw = self._merged(register, state.slots[slot], exchange)
-                if register.name in (*SYNC_MANAGERS, *PROCESS_DATA) and enabled(
+                if register.name in MANAGERS and enabled(
                     self.model, candidate.state, register.name
                 ):
                     raw = state.slots[slot] or 0
                 parameters |= fields_with_before(register.fields, raw, state.slots[slot])
                 state = state.having(slot, raw)
             changed = candidate.having(state)
-            if self._mailboxes_off(state):
-                changed = replace(changed, outbox=(), last=None)
-            for machine, source in inputs:
-                event = Event(machine, source.name, parameters)
-                changed = self._having(changed, event, exchange.time)
-            after[changed] = history
+            if self._alive(state) != self._alive(candidate.state):
+                # a mailbox that went, or came back, without a start: nothing is known of it
+                lost = forgotten(self.model, state, MAILBOX)
+                changed = replace(changed, state=lost, outbox=(), loose=Loose.ALL, last=None)
+            looks = tuple(Event(machine, source.name, parameters) for machine, source in inputs)
+            for events in _orders(looks, glances):
+                found = [changed]
+                for event in events:
+                    found = self._looking(found, event, exchange.time, spare=event in glances)
+                after |= dict.fromkeys(found, history)
         self.candidates = after
+
+    def _looking(
+        self, found: list[Candidate], event: Event, time: int, *, spare: bool
+    ) -> list[Candidate]:
+        """Give the explanations in which the device looks there; it may `spare` itself the look."""
+        looking = [
+            each
+            if spare and any(pending.event == event for pending in each.inbox)
+            else self._having(each, event, time)
+            for each in found
+        ]
+        return list(dict.fromkeys((*looking, *found))) if spare else looking
 
     def _having(self, candidate: Candidate, event: Event, time: int) -> Candidate:
         """Give the explanation in which the device has one input more."""
@@ -391,9 +412,6 @@ class Oracle:
         within = max(taken.within for taken in steps)
         idle = all(s.state == state and not s.outputs and not s.alarms for s in steps)
         return None if idle and not within else Pending(event, time + within, within, time)
-
-    def _mailboxes_off(self, state: State) -> bool:
-        return enabled(self.model, state, MAIN_IN) is False
 
     def _merged(self, register: Register, before: Value | None, exchange: Exchange) -> Value:
         covered = range(
@@ -453,7 +471,9 @@ class Oracle:
             within = max(taken.within for taken in steps)
             until = exchange.time + within
             held = {name: candidate.state.slots[self.model.slots[name]] for name in HELD}
-            same = held == dict(zip(HELD, (True, exchange.data), strict=True))
+            same = held == dict(zip(HELD, (True, exchange.data), strict=True)) and all(
+                self._same_words(candidate.state, taken.state) for taken in steps
+            )
             if same or all(taken.state == candidate.state for taken in steps):
                 # the same outputs once more: only what they put off has news of them
                 inbox = with_alarms(rest, steps[0], exchange.time, until)
@@ -463,6 +483,14 @@ class Oracle:
                 inbox = (*rest, Pending(event, min(old, default=until), within, exchange.time))
             candidate = replace(candidate, inbox=inbox)
         return candidate
+
+    def _same_words(self, before: State, after: State) -> bool:
+        """Tell whether all words are what they were; an SDO may have written them meanwhile."""
+        return all(
+            before.slots[slot] == after.slots[slot]
+            for word in self.model.words.values()
+            for slot in (self.model.slots[f"word {word.name}"],)
+        )
 
     @staticmethod
     def _add(
@@ -623,6 +651,8 @@ class Oracle:
         for candidate, history in self._expanded(exchange.time).items():
             if process_area(self.model, candidate.state, DATA_IN) != exchange.span():
                 after[candidate] = history
+            elif exchange.working_counter and not self._keeps_inputs(candidate.state):
+                after[candidate] = history  # what lies there is old
             elif exchange.working_counter:
                 for state in decided(self.model, candidate.state, exchange.data):
                     odd = odd_words(self.model, state, exchange.data)
@@ -662,7 +692,7 @@ class Oracle:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
         before = self._expanded(exchange.time)
         after = {
-            candidate: history
+            self._owing(candidate, exchange.time, full=full): history
             for candidate, history in before.items()
             if not (full and self._absent(candidate.state))
             and (
@@ -685,6 +715,11 @@ class Oracle:
             observed,
             tuple(rules) or _last(before, {MAILBOX}),
         )
+
+    def _owing(self, candidate: Candidate, time: int, *, full: bool) -> Candidate:
+        """Give the explanation without what did not come, and did not have to."""
+        gone = not full and candidate.loose and candidate.outbox and time > candidate.ready
+        return replace(candidate, outbox=()) if gone else candidate
 
     def _read_empty(self, exchange: Exchange) -> Mismatch | None:
         area = self.area(MAIN_IN)
@@ -830,8 +865,8 @@ class Oracle:
                 lane = pending.event.machine, bool(pending.event.trail)
                 if (not pending.timer and lane in first) or 0 <= time < pending.since:
                     continue
-                if not pending.timer:
-                    first.add(lane)
+                if not pending.timer and not pending.optional:
+                    first.add(lane)  # what may never have come holds nothing up
                 rest = candidate.inbox[:position] + candidate.inbox[position + 1 :]
                 work += self._served(candidate, pending, rest, history)
         return found
@@ -880,6 +915,9 @@ class Oracle:
 
     def _alive(self, state: State) -> bool:
         return definitely(self.model, state, "mailbox_alive") is not False
+
+    def _keeps_inputs(self, state: State) -> bool:
+        return definitely(self.model, state, "inputs_valid") is not False
 
     def _absent(self, state: State) -> bool:
         return definitely(self.model, state, "mailbox_absent") is True
@@ -932,6 +970,22 @@ def _written(model: Model, address: int, length: int) -> tuple[Register, ...]:
 
 
 @once
+def _glances(model: Model, address: int, length: int) -> tuple[Event, ...]:
+    """Give looks at SyncManagers that a write does not touch: one event is there for all."""
+    touched = {register.name for register in _written(model, address, length)}
+    if not any(name.startswith(MANAGERS) for name in touched):
+        return ()
+    return tuple(
+        Event(machine.name, source.name, {})
+        for machine in model.protocol.machines.values()
+        for source in machine.inputs
+        if source.kind == "write"
+        and any(name.startswith(MANAGERS) for name in source.origin)
+        and touched.isdisjoint(source.origin)
+    )
+
+
+@once
 def _inside(model: Model, address: int, length: int) -> tuple[Register, ...]:
     """Give the registers that lie wholly in an area."""
     return tuple(
@@ -939,6 +993,11 @@ def _inside(model: Model, address: int, length: int) -> tuple[Register, ...]:
         for register in model.protocol.registers.values()
         if address <= register.address and register.address + register.size <= address + length
     )
+
+
+def _orders(looks: tuple[Event, ...], glances: tuple[Event, ...]) -> tuple[tuple[Event, ...], ...]:
+    """Give the orders in which a device may look at what was written, and at what was not."""
+    return ((*looks, *glances), (*glances, *looks)) if glances else (looks,)
 
 
 def _covers_end(area: tuple[int, int], exchange: Exchange) -> bool:

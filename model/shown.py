@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.model.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.esc import SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import fields_with_before
 from ecatspec.model.once import once
@@ -31,12 +31,39 @@ def enabled(model: Model, state: State, name: str) -> bool | None:
 
 
 @once
+def usual_mailbox(model: Model) -> dict[str, int]:
+    """Give the slots of the mailbox SyncManagers as they are where nobody saw them set."""
+    codes = {
+        name: {code.name: code.value for code in model.protocol.tables[f"sync_manager_{name}"].rows}
+        for name in ("mode", "direction")
+    }
+    found = {}
+    for name, direction in zip(SYNC_MANAGERS, ("main_writes", "main_reads"), strict=True):
+        start, length = _own_area(model, name)
+        settings = {
+            "start": start,
+            "length": length,
+            "mode": codes["mode"]["mailbox"],
+            "direction": codes["direction"][direction],
+        }
+        fields = {field.name: field.low for field in model.protocol.registers[name].fields}
+        found[f"register {name}"] = sum(value << fields[n] for n, value in settings.items())
+        activation = f"{name}_activation"
+        found[f"register {activation}"] = field_mask(model.protocol, activation, "enabled")
+    return found
+
+
+def _own_area(model: Model, name: str) -> tuple[int, int]:
+    parameter = "mailbox_out" if name == SYNC_MANAGERS[0] else "mailbox_in"
+    return model.parameter(parameter, "start"), model.parameter(parameter, "length")
+
+
+@once
 def mailbox_area(model: Model, state: State, name: str) -> tuple[int, int] | None:
     """Give start and length of a mailbox; of one that was not seen set, the device's own."""
     raw = state.slots[model.slots[f"register {name}"]]
     if not isinstance(raw, int):
-        parameter = "mailbox_out" if name == SYNC_MANAGERS[0] else "mailbox_in"
-        return model.parameter(parameter, "start"), model.parameter(parameter, "length")
+        return _own_area(model, name)
     start = field_of(model.protocol, name, "start", raw)
     length = field_of(model.protocol, name, "length", raw)
     return (start, length) if length else None

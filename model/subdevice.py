@@ -148,8 +148,14 @@ class VirtualSubDevice:
         self._show()
 
     def _registers(self) -> None:
+        was_alive = self._alive()
         for register, slot in self._register_slots:
             self.state = self.state.having(slot, self.esc.register(register))
+        self._drop_mail(was_alive)
+
+    def _drop_mail(self, was_alive: bool) -> None:  # noqa: FBT001
+        if self._alive() != was_alive:
+            self._queue, self._unread, self._last = [], None, None
 
     def _take_settings(self) -> None:
         managers = (*SYNC_MANAGERS, *PROCESS_DATA)
@@ -195,8 +201,12 @@ class VirtualSubDevice:
             else:
                 self.esc.pdi_write(outbox.start, reply.ljust(outbox.length, b"\0"))
 
+    def react(self, event: Event) -> Step:
+        """Give what the rules make of an input in the present state."""
+        return step(self.model, self.state, event)[0]
+
     def _run(self, event: Event, message: Message | None = None) -> None:
-        taken = step(self.model, self.state, event)[0]
+        taken = self.react(event)
         if taken.unspecified and message is not None and not _delivered(taken):
             return
         was_alive = self._alive()
@@ -204,8 +214,7 @@ class VirtualSubDevice:
         for alarm in taken.alarms:
             due = self._clock + alarm.after
             self._alarms[alarm.event.machine, alarm.event.input] = (due, alarm.event)
-        if self._alive() != was_alive:
-            self._queue, self._unread, self._last = [], None, None
+        self._drop_mail(was_alive)
         if taken.resend is not None and self._last is not None:
             waiting = [] if self._unread is None else [self._unread]
             if Quirk.LOSES_UNREAD in self.quirks:

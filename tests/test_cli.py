@@ -18,13 +18,17 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from ecatspec.conformance import cli, monitor, runner
+from ecatspec.conformance import cli, monitor, mutate, record, runner
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import HANG_TIMEOUT
 from ecatspec.conformance.devices import machine_sheets, sheets
+from ecatspec.conformance.mutate import Analysis, Fate, Fated, TableKills
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
 from ecatspec.generators.case import DEPTHS
+from ecatspec.generators.complete.faults import Kills
+from ecatspec.generators.mutants import Mutant, Operator
 from ecatspec.generators.suite import all_cases
+from ecatspec.spec.language.ir import Span
 from ecatspec.spec.language.load import device_names, load_device, load_faults, load_standard
 
 if TYPE_CHECKING:
@@ -65,6 +69,7 @@ class Played:
         depth: str,
         seed: int,
         mailbox: str,
+        replay: str,
         hang_timeout: float,
         progress: Callable[[int, int, str], None] | None,
     ) -> Result:
@@ -74,6 +79,7 @@ class Played:
             "depth": depth,
             "seed": seed,
             "mailbox": mailbox,
+            "replay": replay,
             "hang_timeout": hang_timeout,
             "progress": progress,
         }
@@ -141,9 +147,10 @@ def test_version(call: Call) -> None:
 
 
 def test_the_depths_are_those_of_the_runner() -> None:
-    (option,) = [p for p in cli.cli.commands["run"].params if p.name == "depth"]
-    assert isinstance(option.type, click.Choice)
-    assert tuple(option.type.choices) == DEPTHS
+    for command in ("run", "mutate"):
+        (option,) = [p for p in cli.cli.commands[command].params if p.name == "depth"]
+        assert isinstance(option.type, click.Choice)
+        assert tuple(option.type.choices) == DEPTHS
     assert set(DEPTHS) == set(runner.EXAMPLES)
 
 
@@ -175,6 +182,13 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
         (["run", DEVICE, "--hang-timeout", "0"], "0"),
         (["run", DEVICE, "--hang-timeout", "nan"], "nan"),
         (["run", DEVICE, "--hang-timeout", "inf"], "inf"),
+        (["run", "reference", "--replay", "al/request_PREOP/request_INI"], "request_INIT'?"),
+        (["run", "reference", "--replay", "case.x"], "damaged; copy the whole token"),
+        (["mutate"], "DEVICE"),
+        (["mutate", "kolmorgen-akd"], "did you mean `kollmorgen-akd`?"),
+        (["mutate", DEVICE, "--depth", "deepest"], "deepest"),
+        (["mutate", DEVICE, "--workers", "0"], "0"),
+        (["mutate", DEVICE, "--at-least", "101"], "101"),
         (["monitor"], "FILE"),
         (["check"], "FILE"),
         (["show"], "DEVICE"),
@@ -431,18 +445,20 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
         "depth": "default",
         "seed": 0,
         "mailbox": "",
+        "replay": "",
         "hang_timeout": HANG_TIMEOUT,
         "progress": None,
     }
     file = str(shipped(tmp_path, DEVICE))
     options = ["--depth", "quick", "--seed", "7", "--mailbox", "64:1486", "--hang-timeout", "0.5"]
-    call("run", file, "--dut", "exec:x --y", *options)
+    call("run", file, "--dut", "exec:x --y", *options, "--replay", "al/up")
     assert played.asked == {
         "device": file,
         "dut": "exec:x --y",
         "depth": "quick",
         "seed": 7,
         "mailbox": "64:1486",
+        "replay": "al/up",
         "hang_timeout": 0.5,
         "progress": None,
     }
@@ -492,6 +508,20 @@ def test_a_planted_fault_is_found_and_its_clause_named(call: Call) -> None:
     assert call("run", "reference", "--depth", "quick")[0] == 0
 
 
+def test_a_replay_leaves_the_record_of_the_last_run(call: Call, played: Played) -> None:
+    protocol = load_device(DEVICE)
+    played.results = (result(Outcome.PASS, Outcome.PASS),)
+    assert call("run", DEVICE)[0] == 0
+    kept = record.load(protocol)
+    assert kept is not None
+    assert len(kept.cases) == 2
+    played.results = (result(Outcome.FAIL),)
+    assert call("run", DEVICE, "--replay", "case/0")[0] == 1
+    assert record.load(protocol) == kept
+    assert call("run", DEVICE)[0] == 1
+    assert record.load(protocol) != kept
+
+
 def test_the_monitor_judges_by_the_standard(call: Call, played: Played) -> None:
     call("monitor", "x.pcap")
     assert played.asked == {"path": "x.pcap", "device": "standard", "progress": None}
@@ -527,6 +557,111 @@ def test_a_real_capture_is_judged(call: Call, shared: Path, tmp_path: Path) -> N
     assert err.startswith(f"ecatspec: warning: {cut}")
     cut.write_bytes(whole[:100])
     assert_refused(call("monitor", str(cut)), str(cut))
+
+
+# --- mutate ---------------------------------------------------------------------------------------
+
+PLACE = Span("mine.ecs", 7, 3)
+
+
+def analysis(*fates: Fate, killed: int = 4) -> Analysis:
+    protocol = load_standard()
+    mutant = Mutant(
+        "al.to_init",
+        Operator.NEGATED,
+        "free",
+        "not (free)",
+        PLACE,
+        frozenset({"al"}),
+        follows=False,
+        protocol=protocol,
+    )
+    fated = tuple(
+        Fated(mutant, fate, "al/up", ("AL-01",)) if fate is Fate.KILLED else Fated(mutant, fate)
+        for fate in fates
+    )
+    table = TableKills("AL", 2, 3, "a promise", Kills(5, killed, 1, ()))
+    return Analysis(DEVICE, "quick", 9, (table,), fated)
+
+
+NINE_OF_TEN = (*(Fate.KILLED,) * 9, Fate.UNNOTICED, Fate.TOLERATED, Fate.EQUIVALENT)
+
+
+@pytest.mark.parametrize(
+    ("found", "at_least", "status"),
+    [
+        (analysis(*NINE_OF_TEN), "90", 0),
+        (analysis(*NINE_OF_TEN), "90.1", 1),
+        (analysis(*NINE_OF_TEN), "", 1),
+        (analysis(Fate.KILLED, Fate.TOLERATED), "100", 0),
+        (analysis(Fate.KILLED, killed=3), "0", 1),
+        (analysis(), "100", 0),
+    ],
+)
+def test_a_score_that_is_too_low_is_status_1(
+    call: Call, monkeypatch: pytest.MonkeyPatch, found: Analysis, at_least: str, status: int
+) -> None:
+    monkeypatch.setattr(mutate, "analyse", lambda *_, **__: found)
+    options = ["--at-least", at_least] if at_least else []
+    assert call("mutate", DEVICE, *options)[::2] == (status, "")
+
+
+def test_options_reach_the_analysis(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+
+    def analyse(*arguments: object, **options: object) -> Analysis:
+        asked.append((arguments, options))
+        return analysis()
+
+    monkeypatch.setattr(mutate, "analyse", analyse)
+    call("mutate", DEVICE, "--own", "--depth", "quick", "--workers", "3")
+    options = {"own": True, "depth": "quick", "workers": 3, "progress": None}
+    assert asked == [((DEVICE,), options)]
+    call("mutate", DEVICE)
+    options = {"own": False, "depth": "default", "workers": os.cpu_count(), "progress": None}
+    assert asked[1:] == [((DEVICE,), options)]
+
+
+def test_an_analysis_for_people(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mutate, "analyse", lambda *_, **__: analysis(*NINE_OF_TEN))
+    monkeypatch.setenv("COLUMNS", "200")
+    _, out, _ = call("mutate", DEVICE)
+    lines = [line.split() for line in out.splitlines()]
+    assert ["AL", "2", "3", "a", "promise", "5", "1", "4", "100.0", "%"] in lines
+    assert ["guard", "negated", "12", "9", "1", "1", "1", "90.0", "%"] in lines
+    assert ["off", "by", "one", "0", "0", "0", "0", "0", "100.0", "%"] in lines
+    assert ["all", "12", "9", "1", "1", "1", "90.0", "%"] in lines
+    assert "mutants of the texts, 9 cases of depth quick\n" in out
+    said = "al.to_init: guard negated: free -> not (free)"
+    assert out.endswith(f"not noticed: {PLACE}: {said}\n")
+    assert out.count("not noticed: ") == 1
+
+
+def test_an_analysis_as_json(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mutate, "analyse", lambda *_, **__: analysis(Fate.KILLED, Fate.UNNOTICED))
+    status, out, err = call("mutate", DEVICE, "--json")
+    assert (status, err) == (1, "")
+    wrong = {
+        "place": "al.to_init",
+        "mistake": "negated",
+        "before": "free",
+        "after": "not (free)",
+        "at": str(PLACE),
+    }
+    table = {"machine": "AL", "states": 2, "inputs": 3, "guarantee": "a promise"}
+    assert json.loads(out) == {
+        "schema": "ecatspec.mutate",
+        "schema_version": 1,
+        "device": DEVICE,
+        "depth": "quick",
+        "cases": 9,
+        "score": 0.5,
+        "tables": [{**table, "faults": 5, "equivalent": 1, "killed": 4}],
+        "mutants": [
+            {**wrong, "fate": "killed", "case": "al/up", "clauses": ["AL-01"]},
+            {**wrong, "fate": "unnoticed", "case": "", "clauses": []},
+        ],
+    }
 
 
 # --- as a process ---------------------------------------------------------------------------------

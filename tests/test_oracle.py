@@ -9,15 +9,34 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.conformance.adapter import Description
+from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.session import Deviation, Session
-from ecatspec.generators.bringup import WAY_UP, request, row, way_to
-from ecatspec.generators.case import Probe, Repeat, SendFrame, SendSegments, WriteRegister
-from ecatspec.generators.transfers import download, normal_download, upload, upload_segment
+from ecatspec.conformance.verdict import Outcome
+from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, row, way_to
+from ecatspec.generators.case import (
+    Case,
+    Probe,
+    Repeat,
+    SendFrame,
+    SendSegments,
+    SetUpProcessData,
+    WriteOutputs,
+    WriteRegister,
+)
+from ecatspec.generators.token import case_of
+from ecatspec.generators.transfers import (
+    download,
+    normal_download,
+    unsized,
+    upload,
+    upload_segment,
+)
 from ecatspec.model import subdevice
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.oracle import Oracle
-from ecatspec.model.state import Event
+from ecatspec.model.state import Event, Step
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, concrete
 from ecatspec.spec.language.ir import Bytes, Pin
@@ -31,7 +50,7 @@ if TYPE_CHECKING:
     from ecatspec.model.candidates import Exchange, Mismatch
     from ecatspec.model.codec import Message
     from ecatspec.model.evaluate import Getter
-    from ecatspec.model.state import Output
+    from ecatspec.model.state import Output, State
     from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Choice, Condition, Protocol
     from ecatspec.spec.language.scope import Ref, Scope
@@ -885,3 +904,142 @@ def test_an_answer_that_was_not_captured_blames_nobody(stimuli: tuple[Stimulus, 
     for stimulus in (*way_to(model, "PREOP"), *stimuli):
         session.apply(stimulus)
     assert not session.unheard
+
+
+# --- what random walks found ----------------------------------------------------------------------
+
+UNSET = WriteRegister("sync_manager_0_activation", {"enabled": 0})
+NOTHING_ASKED = WriteRegister("al_control", {})
+"""No state is requested: an error is pending then, and the AL state is kept."""
+
+
+def walked(device: VirtualSubDevice, stimuli: Sequence[Stimulus]) -> str:
+    """Run from power-on, with objects that were read before; give what it was blamed for."""
+    adapter = Faulty(device)
+    runner = Runner(Model(device.model.protocol), adapter, adapter.describe())
+    verdict = runner.judge(Case("walk", "a walk", "al", tuple(stimuli)))
+    return "" if verdict.outcome is Outcome.PASS else f"{verdict.reason}: {verdict.observed}"
+
+
+@pytest.mark.parametrize("name", ["reference", "afag-se-power", "metronix-dis2", "beckhoff-el6720"])
+@pytest.mark.parametrize("silent", [False, True])
+@pytest.mark.parametrize("meanwhile", [(), (upload(0x1018, 1), Repeat())])
+def test_nothing_is_demanded_of_a_mailbox_that_is_off(
+    name: str, meanwhile: tuple[Stimulus, ...], *, silent: bool
+) -> None:
+    """With an error pending the texts leave open what the loss of a mailbox leads to."""
+    text = load_device(name)
+    model = Model(text)
+    device = Faulty(VirtualSubDevice(text))
+    session = Session(device, model, Oracle(model))
+    session.begin(SHAPE)
+    for stimulus in (*way_to(model, "PREOP"), ASK, NOTHING_ASKED, UNSET):
+        session.apply(stimulus)
+    device.silent = silent
+    for stimulus in (*meanwhile, *mailbox_settings(model), Repeat(), ASK, Probe()):
+        session.apply(stimulus)
+    device.silent = False
+    # in INIT and back the mailbox starts anew, and all of it is demanded again
+    for state in ("INIT", "PREOP"):
+        session.apply(request(row(model, "al_state", state)))
+    session.apply(ASK)
+    device.silent = True
+    with pytest.raises(Deviation, match="no reply"):
+        session.apply(ASK)
+
+
+def test_an_answer_is_demanded_where_the_settings_of_the_mailbox_were_not_seen() -> None:
+    device = Faulty(VirtualSubDevice(REFERENCE))
+    model = Model(REFERENCE)
+    session = Session(device, model, Oracle(model))
+    session.begin(SHAPE)
+    for stimulus in way_to(model, "PREOP"):
+        session.apply(stimulus)
+    session.oracle.unknown()
+    session.apply(ASK)
+    session.apply(ASK)
+    device.silent = True
+    with pytest.raises(Deviation, match="no reply"):
+        session.apply(ASK)
+
+
+class Sparing(VirtualSubDevice):
+    """Looks only at the SyncManagers that were written since it looked last."""
+
+    _seen: State | None = None
+
+    def reset(self) -> None:
+        self._seen = None
+        super().reset()
+
+    def _take_settings(self) -> None:
+        self._seen = self.state
+        super()._take_settings()
+
+    def react(self, event: Event) -> Step:
+        inputs = self.model.protocol.machines[event.machine].inputs
+        source = next(i for i in inputs if i.name == event.input)
+        if source.kind != "write" or event.input == "request" or self._seen is None:
+            return super().react(event)
+        slots = [self.model.slots[f"register {name}"] for name in source.origin]
+        if all(self._seen.slots[slot] == self.state.slots[slot] for slot in slots):
+            return Step(self.state, (), (), 0)
+        return super().react(event)
+
+
+@pytest.mark.parametrize("kind", [VirtualSubDevice, Sparing])
+@pytest.mark.parametrize(
+    "stimuli",
+    [
+        # repeat and its acknowledge differ when the mailbox starts; then others are written
+        (*PREOP[:-1], Repeat(), PREOP[-1], request(VALUE["SAFEOP"]), SetUpProcessData()),
+        # the mailbox is lost with an error pending, and found lost without one
+        (
+            *(*PREOP, NOTHING_ASKED, UNSET, SetUpProcessData()),
+            *(request(VALUE["SAFEOP"], acknowledge=True), WriteOutputs(), request(VALUE["OP"])),
+            SetUpProcessData({"sync_manager_2_activation": {"enabled": 0}}),
+        ),
+    ],
+)
+def test_a_change_event_may_make_a_device_look_at_all_sync_managers(
+    kind: type[VirtualSubDevice], stimuli: tuple[Stimulus, ...]
+) -> None:
+    assert walked(kind(load_device("reference-drive")), stimuli) == ""
+
+
+def test_the_same_outputs_count_again_after_a_control_word_by_sdo() -> None:
+    text = load_device("kollmorgen-s300")
+    model = Model(text)
+    same = WriteOutputs({"control_word": 0x02})
+    by_sdo = [download(0x6040, 0, bytes([low, 0])) for low in (0x55, 0xF3)]
+    sent: tuple[Stimulus, ...] = (same, *by_sdo, same)
+    on = WriteOutputs({"control_word": 0x07})
+    assert walked(VirtualSubDevice(text), (*way_to(model, "OP"), *sent, on)) == ""
+
+
+def test_inputs_that_are_not_kept_up_to_date_are_not_judged() -> None:
+    """The drive's modes are known here, so a mode that it has must be the active one."""
+    text = load_device("reference-drive")
+    model = Model(text)
+    preop = request(VALUE["PREOP"])
+    way = (*way_to(model, "PREOP"), SetUpProcessData(), request(VALUE["SAFEOP"]), preop)
+    stimuli = (*way, unsized(model, 0x6060, 0, b"\1"), NOTHING_ASKED)
+    up = request(VALUE["SAFEOP"], acknowledge=True)
+    assert walked(VirtualSubDevice(text), (*stimuli, up)) == ""
+
+
+MANY_WAYS = (
+    "case.eNrNVV1LwzAU_SvlPge61FlH3_a-fyAjxPauhqVJTW4dY_S_mwXUKbRaO8W3kJ6cj9xDegItj-i"
+    "gAKmBgZENxnVa2qbVSJiuN2K_SLM8fPWkmk4rKO5PUNmAOzhFKBzWyhM6HyBxx0fETqGuwjJglcOSlDV"
+    "QcAYaTU2PUNzyjEFjqyCYnbmlIyhyvlz2DF4pg4Y_mlI00sganVhAzy6Z0cgHjVXgHTskZFB_ltFBvz0"
+    "zTHE_6veO56sRaf4Tv3zAr0cSXStaZ0v0XlSSJHwKYztqO4pRrIuS_UDcAHm35fCpw7AbjGUfjUktSmv"
+    "IWQ0TiZZziK53duRmv5FHlntjD2FiNcbuXuRbfe3Rk23fRjK1drOqMqsNI6H_Rzt-YQxD9DfX8jnv5ub"
+    "18I9mPVTlCU_zlgEp0ud_0HrDkkBFSZYndpfwVQ79CyIJVtg"
+)
+"""A long test of the AL state machine in which too many explanations arise."""
+
+
+def test_an_input_that_may_never_have_come_holds_nothing_up() -> None:
+    adapter = make("kollmorgen-akd", {})
+    runner = Runner(Model(load_device("kollmorgen-akd")), adapter, adapter.describe())
+    assert runner.judge(case_of(MANY_WAYS)).outcome is Outcome.PASS

@@ -96,6 +96,36 @@ def test_the_summary_comes_first() -> None:
     ]
 
 
+def test_the_suites_of_a_run_stand_in_the_summary() -> None:
+    promises = ("AL, 30 states: checked: exact; passed", "DS402: promises nothing: 1 fail")
+    promised = replace(ALL, guarantees=promises)
+    lines = text(promised).splitlines()
+    assert lines[8:11] == [
+        f"  suites    {promises[0]}",
+        f"            {promises[1]}",
+        "  time      1.3 s",
+    ]
+    results = loaded(promised)["results"]
+    assert isinstance(results, list)
+    assert results[0]["guarantees"] == list(promises)
+
+
+def test_a_finding_says_how_to_see_it_again() -> None:
+    found = result(FAIL, replace(CRASH, replay="case.eNqr"))
+    lines = text(found).splitlines()
+    assert "  replay    --replay al/refused/1" in lines
+    assert "  replay    --replay case.eNqr" in lines
+    results = loaded(found)["results"]
+    assert isinstance(results, list)
+    replays = {finding["case"]: finding["replay"] for finding in results[0]["findings"]}
+    assert replays == {"al/refused/1": "al/refused/1", "sdo/7": "case.eNqr"}
+
+
+def test_a_long_token_stays_whole() -> None:
+    token = "case." + "aB3_-" * 60
+    assert f"--replay {token}" in text(result(replace(FAIL, replay=token)))
+
+
 def test_findings_come_once_and_crashes_first() -> None:
     said = text(ALL)
     assert said.index("1. CRASH: unknown command") < said.index("2. FAIL: a change that")
@@ -170,8 +200,9 @@ verdicts = st.builds(
 @given(st.lists(verdicts, max_size=4))
 def test_whatever_is_said_fits_the_page(said: list[Verdict]) -> None:
     lines = text(result(*said)).split("\n")
-    assert all(len(line) <= WIDTH for line in lines)
     assert all(line.isprintable() for line in lines)
+    lines = [line for line in lines if not line.startswith("  replay ")]  # to be copied whole
+    assert all(len(line) <= WIDTH for line in lines)
     assert not any(line != line.rstrip() for line in lines)
 
 

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import shlex
 import sys
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,16 +16,18 @@ from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.runner import Runner, run_device
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.bringup import request, way_to
-from ecatspec.generators.case import Case, Probe
+from ecatspec.generators.case import Case, Happen, Probe, WriteOutputs
+from ecatspec.generators.token import case_of, token_of
 from ecatspec.generators.transfers import upload
 from ecatspec.model.compiled import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.conformance.verdict import Result, Verdict
@@ -203,7 +206,7 @@ def children() -> set[int]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="counts children in /proc")
-def test_an_interrupt_gives_what_was_found_and_leaves_no_process() -> None:
+def test_an_interrupt_gives_what_was_found_and_leaves_no_process(host: str) -> None:
     before = children()
     during: set[int] = set()
 
@@ -212,7 +215,7 @@ def test_an_interrupt_gives_what_was_found_and_leaves_no_process() -> None:
             during.update(children() - before)
             raise KeyboardInterrupt
 
-    result = run_device(DEVICE, "model", depth="quick", progress=progress)
+    result = run_device("standard", f"{host} never 0", depth="quick", progress=progress)
     assert result.interrupted
     assert len(result.verdicts) == 5
     assert during
@@ -247,6 +250,131 @@ def test_a_case_begins_from_power_on() -> None:
     refused = Case("skip", "skip", "al", (request(8),))
     runner.run([there, refused, there], None, 3)
     assert {verdict.outcome for verdict in runner.verdicts} == {Outcome.PASS}
+
+
+# --- one case again -------------------------------------------------------------------------------
+
+REPEATED = "al/request_PREOP/request_INIT"
+
+
+def test_a_case_is_run_again_by_its_name() -> None:
+    again = run_device("reference", "model", replay=REPEATED)
+    assert [(v.case, v.outcome) for v in again.verdicts] == [(REPEATED, Outcome.PASS)]
+    assert again.guarantees == ()
+
+
+def test_a_case_is_run_again_by_its_token() -> None:
+    token = token_of(case("mine"))
+    again = run_device(DEVICE, "model", replay=token)
+    assert [(v.case, v.outcome) for v in again.verdicts] == [("mine", Outcome.PASS)]
+
+
+@pytest.mark.parametrize(
+    ("replay", "words"),
+    [
+        ("al/request_PREOP/request_INI", f"did you mean {REPEATED!r}?"),
+        ("case.", "is no token of a case"),
+        ("case.eNpz", "damaged; copy the whole token"),
+        (token_of(case("mine"))[:-9], "damaged; copy the whole token"),
+        (token_of(Case("x", "x", "al", (Happen("al.rain"),))), "has no local event 'al.rain'"),
+        (token_of(Case("x", "x", "al", (WriteOutputs({"wind": 1}),))), "has no word 'wind'"),
+    ],
+)
+def test_what_cannot_be_run_again_is_one_line(replay: str, words: str) -> None:
+    with pytest.raises(UserError) as caught:
+        run_device("reference", "model", replay=replay)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# --- complete suites in a run ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Promised:
+    """Stands for a complete suite of a few cases."""
+
+    tests: tuple[Case, ...]
+    layer: str = "sdo"
+    assumed: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def suite(self) -> Promised:
+        return self
+
+    def cases(self) -> Iterator[Case]:
+        return iter(self.tests)
+
+    def guarantee(self) -> str:
+        return "a promise"
+
+
+def completed(
+    monkeypatch: pytest.MonkeyPatch, suite: Promised, protocols: frozenset[str] = ALL
+) -> tuple[Runner, list[str]]:
+    adapter = Wrapped(protocols)
+    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
+    runner.choices["refused_in_op"] = "stay"
+    monkeypatch.setattr(runner_module, "complete_suites", lambda *_: [suite])
+    return runner, runner.complete("default", None)
+
+
+def test_a_suite_that_passes_keeps_its_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+    suite = Promised((case("one"), case("two")), assumed={"refused_in_op": "stay", "x": "y"})
+    runner, told = completed(monkeypatch, suite)
+    assert told == ["a promise; passed"]
+    assert [v.case for v in runner.verdicts] == ["one", "two"]
+
+
+def test_a_suite_that_fails_promises_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    suite = Promised((case("one"), case("two"), case("op", needs="OP")))
+    _, told = completed(monkeypatch, suite)
+    assert told == ["a promise; promises nothing: 1 inconclusive"]
+    _, told = completed(monkeypatch, suite, ALL | {"wrong"})
+    assert told == ["a promise; promises nothing: 3 fail"]
+
+
+def test_a_suite_of_another_way_promises_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    suite = Promised((case("one"),), assumed={"refused_in_op": "drop_to_safeop"})
+    _, told = completed(monkeypatch, suite)
+    assert told == ["a promise; promises nothing: the device goes another way at refused_in_op"]
+
+
+def test_a_suite_of_a_layer_that_is_not_the_devices_is_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    runner, told = completed(monkeypatch, Promised((case("one"),), layer="ds402"))
+    assert (told, runner.verdicts) == ([], [])
+
+
+def test_a_suite_is_asked_for_with_what_the_device_showed(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[object, ...]] = []
+
+    def suites(*arguments: object) -> list[Promised]:
+        asked.append(arguments)
+        return []
+
+    monkeypatch.setattr(runner_module, "complete_suites", suites)
+    adapter = make(DEVICE, {})
+    description = replace(adapter.describe(), locals=frozenset({"ds402.fault"}))
+    runner = Runner(Model(load_device(DEVICE)), adapter, description)
+    runner.choices |= {"refused_in_op": "stay", "not of these texts": "x"}
+    assert runner.complete("exhaustive", None) == []
+    ((model, limits, events, ways, depth),) = asked
+    assert (model, limits) == (runner.model, runner_module.limits_of(description))
+    assert (events, depth) == ({"ds402.fault"}, "exhaustive")
+    assert ways == {**runner_module.SHAPE, "refused_in_op": "stay"}
+
+
+def test_a_long_run_shortens_each_cause_once() -> None:
+    adapter = Wrapped(ALL | {"wrong"})
+    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
+    long = case("long", Probe(), upload(0x1018, 1), Probe())
+    runner.run_long([long, long], None, 2)
+    first, second = runner.verdicts
+    assert first.signature == second.signature
+    assert case_of(first.replay).stimuli[len(PREOP) :] == ()
+    assert case_of(second.replay).name == second.case
 
 
 # --- the package canopen --------------------------------------------------------------------------

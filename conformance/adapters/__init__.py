@@ -23,6 +23,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
+from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.process import ProcessAdapter
 
 if TYPE_CHECKING:
@@ -117,7 +118,13 @@ def _open_hosted(
 
 
 def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
-    return _make("model", device, parse_options(rest))
+    from ecatspec.conformance.adapters.model import Guarded, make
+
+    options = parse_options(rest)
+    try:
+        return Guarded(make(device, options))
+    except UserError as error:
+        raise AdapterError(f"cannot set up 'model': {error}") from None
 
 
 def _open_command(rest: str, _device: str, hang_timeout: float) -> Adapter:

@@ -19,14 +19,13 @@ from ecatspec.spec.language.load import load_faults, plant
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from ecatspec.conformance.adapter import Adapter
     from ecatspec.spec.language.ir import Protocol
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
 
 
-def make(device: str, options: Mapping[str, str]) -> Adapter:
+def make(device: str, options: Mapping[str, str]) -> VirtualAdapter:
     """Return the virtual SubDevice of the text `device`, with a planted fault if one is named."""
     refuse_options("model", options, known=("mailbox", "fault"))
     protocol = load(device, options.get("mailbox", ""))
@@ -59,10 +58,7 @@ def described(protocol: Protocol) -> Description:
 
 
 class VirtualAdapter:
-    """The contract over a virtual SubDevice; `power_off` is done before each reset.
-
-    What the device raises is its crash.
-    """
+    """The contract over a virtual SubDevice; `power_off` is done before each reset."""
 
     def __init__(
         self,
@@ -83,22 +79,22 @@ class VirtualAdapter:
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""
         check_span(address, length)
-        return _answered(self._device.read, address, length)
+        return self._device.read(address, length)
 
     def write(self, address: int, data: bytes) -> int:
         """Write as the MainDevice."""
         check_span(address, len(data))
-        return _answered(self._device.write, address, data)
+        return self._device.write(address, data)
 
     def advance(self, seconds: float) -> None:
         """Let virtual time pass."""
         check_duration(seconds)
-        _answered(self._device.advance, seconds)
+        self._device.advance(seconds)
 
     def local(self, event: str) -> None:
         """Make a local event befall the device."""
         machine, _, name = event.partition(".")
-        _answered(self._device.happen, machine, name, {})
+        self._device.happen(machine, name, {})
 
     def close(self) -> None:
         """Nothing to release."""
@@ -108,8 +104,44 @@ class VirtualAdapter:
         return self._description
 
 
+class Guarded:
+    """A virtual SubDevice in the process of the run: what it raises is its crash."""
+
+    def __init__(self, adapter: VirtualAdapter) -> None:
+        self._adapter = adapter
+
+    def reset(self) -> None:
+        """Power cycle."""
+        self._adapter.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read as the MainDevice."""
+        return _answered(self._adapter.read, address, length)
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as the MainDevice."""
+        return _answered(self._adapter.write, address, data)
+
+    def advance(self, seconds: float) -> None:
+        """Let virtual time pass."""
+        _answered(self._adapter.advance, seconds)
+
+    def local(self, event: str) -> None:
+        """Make a local event befall the device."""
+        _answered(self._adapter.local, event)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def describe(self) -> Description:
+        """What was given."""
+        return self._adapter.describe()
+
+
 def _answered(ask: Callable[_P, _T], *arguments: _P.args, **words: _P.kwargs) -> _T:
     try:
         return ask(*arguments, **words)
+    except AdapterError:
+        raise
     except Exception as error:
         raise DeviceCrash(f"{type(error).__name__}: {error}") from error

@@ -95,7 +95,9 @@ def _finding(number: int, finding: Finding, protocol: Protocol) -> Iterable[str]
     yield from _labelled("flag", [flag] if flag else [])
     yield from _labelled("at", [verdict.at] if verdict.at else [])
     yield from _labelled("case", [verdict.case])
-    yield from _labelled("replay", [f"--replay {verdict.replay or verdict.case}"])
+    # a token is copied, so it stays whole
+    again = _plain(verdict.replay or verdict.case)
+    yield f"{_INDENT}{'replay':<{_LABEL}}--replay {again}".rstrip()
     if verdict.trace:
         yield f"{_INDENT}trace"
         yield from _trace(verdict.trace)

@@ -1,0 +1,67 @@
+"""The only place for what seeded walks of a device draw from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import WAY_UP, way_to
+from ecatspec.generators.configuration_cover import configuration_cover
+from ecatspec.generators.drive_cover import CONTROL, commands
+from ecatspec.generators.family_cover import family_cover
+from ecatspec.generators.sdo_cover import is_written
+from ecatspec.model.once import once
+from ecatspec.spec.language.ir import Access
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ecatspec.generators.case import Limits, Stimulus
+    from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import ObjectEntry
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """What walks of a device draw from."""
+
+    states: Mapping[int, str]
+    up: Mapping[str, tuple[Stimulus, ...]]
+    """What comes before the request of each state on the way up."""
+    readable: tuple[str, ...]
+    entries: tuple[ObjectEntry, ...]
+    written: tuple[ObjectEntry, ...]
+    controls: tuple[int, ...]
+    words: tuple[tuple[str, int], ...]
+    """Words that process data may bring, and their bits."""
+    configurations: tuple[tuple[Stimulus, ...], ...]
+    families: tuple[tuple[Stimulus, ...], ...]
+
+
+@once
+def ground(model: Model, limits: Limits) -> Ground:
+    """Give what walks of a device draw from, without what the way to it cannot carry."""
+    protocol = model.protocol
+    ways = [way_to(model, state) for state in WAY_UP]
+    up = {
+        state: way[len(before) : -1]
+        for state, before, way in zip(WAY_UP[1:], [(), *ways[1:]], ways[1:], strict=False)
+    }
+    drives = CONTROL in {word.name for word in model.words.values()}
+    mapped = [w for key, w in model.words.items() if model.dictionary.entries[key].mappable]
+    cases = [c for c in family_cover(model, limits) if c.feature not in limits.without]
+    return Ground(
+        states={r.value: r.name for r in protocol.tables["al_state"].rows},
+        up=up,
+        readable=tuple(
+            r.name for r in protocol.registers.values() if r.main in {Access.READ, Access.BOTH}
+        ),
+        entries=tuple(protocol.objects),
+        written=tuple(entry for entry in protocol.objects if is_written(entry)),
+        controls=tuple(commands(model).values()) if drives else (),
+        words=tuple((word.name, 8 * word.size) for word in mapped),
+        configurations=tuple(
+            case.stimuli[case.prelude : -1] for case in configuration_cover(model, limits)
+        ),
+        families=tuple(case.stimuli[case.prelude : -1] for case in cases),
+    )

@@ -1,0 +1,554 @@
+"""The only place for tests of mutants: texts as built, mistakes in them, and what finds these."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import pytest
+
+from ecatspec.conformance import mutate
+from ecatspec.conformance.adapters.model import Guarded, VirtualAdapter, described
+from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.mutate import Fate, analyse
+from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.complete.faults import kills
+from ecatspec.generators.complete.suites import state_cover_suite
+from ecatspec.generators.finite_cover import complete_suites
+from ecatspec.generators.mutants import DEFINE, Operator, mutants
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.built import as_built
+from ecatspec.model.compiled import Model
+from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.load import load_device, load_faults, load_file, plant
+from ecatspec.spec.language.pretty import pretty_expression
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.conformance.mutate import Analysis
+    from ecatspec.generators.case import Case, Limits
+    from ecatspec.generators.mutants import Mutant
+    from ecatspec.model.state import Event, Step
+    from ecatspec.spec.language.ir import Definition, Protocol, Rule
+
+DRIVE = "reference-drive"
+SMALL = "reference"
+
+
+def written(folder: Path, text: str) -> Protocol:
+    """A device of the standard and some more lines."""
+    file = folder / "planted.ecs"
+    file.write_text(f'device planted extends standard "x"\n\n{text}', encoding="utf-8")
+    return load_file(file)
+
+
+# --- texts as built -------------------------------------------------------------------------------
+
+MACHINE = """
+machine extra "a machine"
+  states   al_state { INIT, PREOP, SAFEOP } initial INIT
+  variable count : u8 = 0
+  variable truth : bool = false
+  variable code  : al_status_code = no_error
+  variable other : al_status_code = no_error
+  input    event(number: u8, flag: bool)
+
+  rule planted [AL-01]
+    from INIT on event
+    when number in { 1, 3..5 } and flag and count < number
+    goto PREOP
+    set  count = 7,
+         truth = true,
+         code = any,
+         other = no_error
+
+  rule back [AL-01]
+    from PREOP on event
+    when refused_in_op == stay and flag
+    goto SAFEOP
+
+  rule stayed [AL-01]
+    from SAFEOP on event
+    when refused_in_op == stay
+    goto INIT
+
+  rule dropped [AL-01]
+    from SAFEOP on event
+    when refused_in_op == drop_to_safeop
+    goto PREOP
+"""
+
+
+def guards(protocol: Protocol) -> dict[str, str]:
+    return {
+        rule.name: "" if rule.guard is None else pretty_expression(rule.guard)
+        for rule in protocol.machines["extra"].rules
+    }
+
+
+def test_a_rule_that_cannot_fire_is_gone_and_what_holds_is_not_asked(tmp_path: Path) -> None:
+    protocol = written(tmp_path, MACHINE)
+    whole = guards(protocol)
+    assert guards(as_built(protocol)) == {"planted": whole["planted"], "dropped": ""}
+
+
+def test_choices_go_as_given(tmp_path: Path) -> None:
+    protocol = written(tmp_path, MACHINE)
+    whole = guards(protocol)
+    built = as_built(protocol, {"refused_in_op": "stay"})
+    assert guards(built) == {"planted": whole["planted"], "back": "flag", "stayed": ""}
+    assert built.pins["refused_in_op"].alternative == "stay"
+
+
+def test_what_a_text_pins_is_not_chosen(tmp_path: Path) -> None:
+    protocol = written(tmp_path, f"pin refused_in_op = stay [AL-01]\n{MACHINE}")
+    built = as_built(protocol, {"refused_in_op": "drop_to_safeop"})
+    assert guards(built).keys() == {"planted", "back", "stayed"}
+
+
+def test_every_choice_goes_one_way() -> None:
+    built = as_built(load_device(DRIVE))
+    assert built.pins.keys() == built.choices.keys()
+
+
+FOLDED = {
+    "always": "true",
+    "not always": "false",
+    "always and al.error": "al.error",
+    "al.error and always": "al.error",
+    "never and al.error": "false",
+    "never or al.error": "al.error",
+    "al.error or never": "al.error",
+    "always or al.error": "true",
+    "al.error and mailbox_accepted": "al.error and mailbox_accepted",
+    "al.error or al.identified and never": "al.error",
+    "not (al.error and always)": "not al.error",
+    "if always then 1 else 2": "1",
+    "if never then 1 else 2": "2",
+    "if al.error then always else not never": "true",
+    "if al.error then always and fed else never": "if al.error then fed else false",
+    "length(sdo.data) == 0 and always": "length(sdo.data) == 0",
+}
+
+
+def test_folding(tmp_path: Path) -> None:
+    lines = [
+        'define always "x" = refused_in_op == drop_to_safeop [AL-01]',
+        'define never "x" = refused_in_op == stay [AL-01]',
+        *(f'define planted_{n} "x" = {text} [AL-01]' for n, text in enumerate(FOLDED)),
+    ]
+    built = as_built(written(tmp_path, "\n".join(lines)))
+    found = {
+        text: pretty_expression(built.definitions[f"planted_{n}"].value)
+        for n, text in enumerate(FOLDED)
+    }
+    assert found == FOLDED
+
+
+Exchange = tuple[str, tuple[object, ...], object]
+
+
+class Recorder:
+    """An adapter that keeps what it was asked since power-on, and what the device answered."""
+
+    def __init__(self, adapter: Adapter) -> None:
+        self.adapter = adapter
+        self.log: list[Exchange] = []
+
+    def reset(self) -> None:
+        self.log = []
+        self.adapter.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        answer = self.adapter.read(address, length)
+        self.log.append(("read", (address, length), answer))
+        return answer
+
+    def write(self, address: int, data: bytes) -> int:
+        answer = self.adapter.write(address, data)
+        self.log.append(("write", (address, data), answer))
+        return answer
+
+    def advance(self, seconds: float) -> None:
+        self.adapter.advance(seconds)
+        self.log.append(("advance", (seconds,), None))
+
+    def local(self, event: str) -> None:
+        self.adapter.local(event)  # type: ignore[attr-defined]
+        self.log.append(("local", (event,), None))
+
+    def close(self) -> None:
+        self.adapter.close()
+
+    def describe(self) -> Description:
+        return self.adapter.describe()
+
+
+def adapter_of(protocol: Protocol) -> Guarded:
+    return Guarded(VirtualAdapter(VirtualSubDevice(protocol), described(protocol)))
+
+
+def few(model: Model, limits: Limits, depth: str) -> Iterator[Case]:
+    """Yield a short case of each kind."""
+    kinds: set[tuple[str, ...]] = set()
+    for case in all_cases(model, limits, depth):
+        kind = tuple(case.name.split("/")[:2])
+        if kind not in kinds and len(case.stimuli) < 12:
+            kinds.add(kind)
+            yield case
+
+
+def test_a_device_as_built_answers_as_the_device() -> None:
+    protocol = load_device(DRIVE)
+    model = Model(protocol)
+    recorder = Recorder(adapter_of(protocol))
+    runner = Runner(model, recorder, recorder.describe())
+    built = adapter_of(as_built(protocol))
+    asked: Counter[str] = Counter()
+    for case in few(model, NO_LIMITS, "quick"):
+        assert runner.judge(case).outcome is Outcome.PASS
+        asked[case.layer] += 1
+        built.reset()
+        for name, arguments, answer in recorder.log:
+            assert getattr(built, name)(*arguments) == answer, case.name
+    assert asked.keys() == {
+        *("al", "coe", "ds402", "mailbox", "process_data", "sdo", "sdo_information"),
+    }
+
+
+# --- mistakes -------------------------------------------------------------------------------------
+
+
+@cache
+def built_of(device: str) -> Protocol:
+    return as_built(load_device(device))
+
+
+@cache
+def mutants_of(device: str) -> tuple[Mutant, ...]:
+    return tuple(mutants(built_of(device)))
+
+
+PLANTED = {
+    (Operator.NEGATED, "number in { 1, 3..5 } and flag and count < number"): {
+        "not (number in { 1, 3..5 } and flag and count < number)"
+    },
+    (Operator.UNCHECKED, "number in { 1, 3..5 } and flag and count < number"): {
+        "flag and count < number",
+        "number in { 1, 3..5 } and count < number",
+        "number in { 1, 3..5 } and flag",
+    },
+    (Operator.NARROWED, "number in { 1, 3..5 }"): {"number in { 3..5 }", "number in { 1 }"},
+    (Operator.OFF_BY_ONE, "1"): {"0", "2"},
+    (Operator.OFF_BY_ONE, "3"): {"2", "4"},
+    (Operator.OFF_BY_ONE, "5"): {"4", "6"},
+    (Operator.OFF_BY_ONE, "count < number"): {"count <= number"},
+    (Operator.WRONG_TARGET, "PREOP"): {"stays", "SAFEOP"},
+    (Operator.UPDATE_DROPPED, "count = 7"): {"nothing"},
+    (Operator.UPDATE_DROPPED, "truth = true"): {"nothing"},
+    (Operator.UPDATE_DROPPED, "other = no_error"): {"nothing"},
+    (Operator.WRONG_VALUE, "other = no_error"): {"al_status_code.unspecified_error"},
+    (Operator.WRONG_VALUE, "count = 7"): {"0"},
+    (Operator.WRONG_VALUE, "truth = true"): {"false"},
+}
+
+
+def test_each_operator_gives_what_it_says(tmp_path: Path) -> None:
+    """What is left open cannot go wrong: nothing is done to `code = any`."""
+    protocol = written(tmp_path, MACHINE)
+    found = [mutant for mutant in mutants(protocol) if mutant.place == "extra.planted"]
+    said: dict[tuple[Operator, str], set[str]] = {}
+    for mutant in found:
+        said.setdefault((mutant.operator, mutant.before), set()).add(mutant.after)
+        first, *others = mutant.protocol.machines["extra"].rules
+        assert (first.name, [rule.name for rule in others]) == (
+            "planted",
+            ["back", "stayed", "dropped"],
+        )
+    assert said == PLANTED
+    assert len(found) == sum(map(len, PLANTED.values()))
+
+
+def test_a_mutant_does_what_it_says(tmp_path: Path) -> None:
+    protocol = written(tmp_path, MACHINE)
+    for mutant in mutants(protocol):
+        if mutant.place != "extra.planted":
+            continue
+        rule = mutant.protocol.machines["extra"].rules[0]
+        assert rule.guard is not None
+        updates = {u.variable: pretty_expression(u.value) for u in rule.updates}
+        match mutant.operator:
+            case Operator.NEGATED | Operator.UNCHECKED:
+                assert pretty_expression(rule.guard) == mutant.after
+            case Operator.NARROWED:
+                assert pretty_expression(rule.guard).startswith(mutant.after)
+            case Operator.OFF_BY_ONE:
+                assert mutant.after in pretty_expression(rule.guard)
+            case Operator.WRONG_TARGET:
+                assert (rule.target or "stays") == mutant.after
+            case Operator.UPDATE_DROPPED:
+                assert updates.keys() == {"count", "truth", "code", "other"} - {
+                    mutant.before.split()[0]
+                }
+            case _:
+                assert updates[mutant.before.split()[0]] == mutant.after
+
+
+def dropped(device: str, place: str) -> dict[str, tuple[frozenset[str], bool]]:
+    return {
+        mutant.before: (mutant.machines, mutant.follows)
+        for mutant in mutants_of(device)
+        if mutant.place == place and mutant.operator is Operator.OUTPUT_DROPPED
+    }
+
+
+def test_a_dropped_output_names_the_machines_that_it_concerns() -> None:
+    assert dropped(DRIVE, "al.init_to_preop") == {
+        "give mailbox.start": (frozenset({"al", "mailbox"}), False)
+    }
+    assert dropped(DRIVE, "ds402.mains_back") == {"later ds402.look": (frozenset({"ds402"}), False)}
+    assert dropped(DRIVE, "sdo.upload_no_object") == {
+        "send sdo_abort": (frozenset({"sdo", "shown"}), True)
+    }
+    machine = built_of(DRIVE).machines["sdo"]
+    storing = {f"sdo.{rule.name}" for rule in machine.rules if rule.stores}
+    assert storing
+    assert all(any(b.startswith("store ") for b in dropped(DRIVE, p)) for p in storing)
+
+
+def test_a_wrong_definition_concerns_all_that_speak_of_it() -> None:
+    alive = [m for m in mutants_of(DRIVE) if m.place == f"{DEFINE}mailbox_alive"]
+    assert {(m.operator, m.after) for m in alive} == {
+        (Operator.NEGATED, "not (mailbox_demanded and mailbox_accepted)"),
+        (Operator.UNCHECKED, "mailbox_accepted"),
+        (Operator.UNCHECKED, "mailbox_demanded"),
+    }
+    assert {m.machines for m in alive} == {frozenset({"emergency", "mailbox", "shown"})}
+    assert not any(m.follows for m in alive)
+
+
+def parts(protocol: Protocol) -> dict[str, Rule | Definition]:
+    """Give all rules and definitions by place."""
+    found: dict[str, Rule | Definition] = {
+        f"{machine.name}.{rule.name}": rule
+        for machine in protocol.machines.values()
+        for rule in machine.rules
+    }
+    return found | {f"{DEFINE}{name}": each for name, each in protocol.definitions.items()}
+
+
+def test_each_mutant_differs_in_one_place_and_no_two_are_the_same() -> None:
+    built = parts(built_of(DRIVE))
+    seen: Counter[object] = Counter()
+    for mutant in mutants_of(DRIVE):
+        wrong = parts(mutant.protocol)
+        assert [p for p, part in wrong.items() if part is not built[p]] == [mutant.place]
+        assert wrong.keys() == built.keys()
+        assert wrong[mutant.place] != built[mutant.place], str(mutant)
+        assert mutant.at == built[mutant.place].at
+        repaired = {
+            name: replace(machine, rules=built_of(DRIVE).machines[name].rules)
+            for name, machine in mutant.protocol.machines.items()
+        }
+        definitions = built_of(DRIVE).definitions
+        sound = replace(mutant.protocol, machines=repaired, definitions=definitions)
+        assert sound == built_of(DRIVE)
+        seen[mutant.place, repr(wrong[mutant.place])] += 1
+    assert set(seen.values()) == {1}
+
+
+NUMBERS = {
+    Operator.NEGATED: 217,
+    Operator.UNCHECKED: 434,
+    Operator.NARROWED: 33,
+    Operator.OFF_BY_ONE: 168,
+    Operator.WRONG_VALUE: 355,
+    Operator.WRONG_TARGET: 263,
+    Operator.UPDATE_DROPPED: 139,
+    Operator.OUTPUT_DROPPED: 125,
+}
+
+
+def test_golden_numbers() -> None:
+    assert Counter(mutant.operator for mutant in mutants_of(DRIVE)) == NUMBERS
+
+
+def test_a_check_is_what_lets_other_inputs_through() -> None:
+    assert {mutant.operator for mutant in mutants_of(DRIVE) if mutant.checks} == {
+        *(Operator.NEGATED, Operator.UNCHECKED, Operator.NARROWED, Operator.OFF_BY_ONE),
+    }
+
+
+# --- kill analysis --------------------------------------------------------------------------------
+
+
+@cache
+def few_cases() -> object:
+    """What the small device shows in a suite of few cases."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(mutate, "all_cases", few)
+        patch.setattr(mutate, "complete_suites", lambda *_: ())
+        return mutate._Ground(SMALL, "quick", None)  # noqa: SLF001  made once for all tests
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Analysis]:
+    """Analyse some mutants of the small device with few cases."""
+    ground = few_cases()
+    monkeypatch.setattr(mutate, "_Ground", lambda *_: ground)
+
+    def analysed(*sample: Mutant, own: bool = False) -> Analysis:
+        monkeypatch.setattr(mutate, "mutants", lambda _: iter(sample))
+        return analyse(SMALL, own=own, depth="quick")
+
+    return analysed
+
+
+def named(place: str, operator: Operator, before: str, after: str = "nothing") -> Mutant:
+    """Give the mutant of the small device that has this wrong; `before` may be its beginning."""
+    (found,) = (
+        mutant
+        for mutant in mutants_of(SMALL)
+        if (mutant.place, mutant.operator, mutant.after) == (place, operator, after)
+        and mutant.before.startswith(before)
+    )
+    return found
+
+
+Mistake: TypeAlias = "tuple[str, Operator, str] | tuple[str, Operator, str, str]"
+WRONG = Operator.WRONG_VALUE
+SILENT = Operator.OUTPUT_DROPPED
+EARLY = Operator.UNCHECKED
+DROPPED = Operator.UPDATE_DROPPED
+UNSPECIFIED = "al_status_code.unspecified_error"
+COMPLETE = "not complete_access"
+TOLERATED = ("sdo.download_expedited", WRONG, "sdo.write complete", COMPLETE)
+FATES: Final[Mapping[Mistake, tuple[Fate, str]]] = {
+    ("al.bootstrap_refused", EARLY, "free and", "free"): (Fate.KILLED, "AL-04"),
+    ("sdo.upload_no_object", SILENT, "send sdo_abort"): (Fate.KILLED, "SDO-07"),
+    ("al.preop_to_safeop", WRONG, "code = no_error", UNSPECIFIED): (Fate.EQUIVALENT, ""),
+    ("al.safeop_to_op", DROPPED, "identified"): (Fate.EQUIVALENT, ""),
+    TOLERATED: (Fate.TOLERATED, ""),
+    ("al.op_to_safeop", EARLY, "free and", "free"): (Fate.UNNOTICED, ""),
+    ("sdo.value_taken_by_segments", SILENT, "store value"): (Fate.UNNOTICED, ""),
+}
+"""What becomes of a mutant, and a clause that is cited."""
+
+
+def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = [named(*mistake) for mistake in FATES]
+    names = [case.name for case in few(Model(load_device(SMALL)), NO_LIMITS, "quick")]
+    monkeypatch.setattr(mutate, "all_cases", few)
+    monkeypatch.setattr(mutate, "complete_suites", lambda *_: ())
+    monkeypatch.setattr(mutate, "mutants", lambda _: iter(sample))
+    told: list[str] = []
+    found = analyse(SMALL, depth="quick", workers=2, progress=lambda _, __, what: told.append(what))
+    assert [each.mutant for each in found.fated] == sample
+    for each, (fate, clause) in zip(found.fated, FATES.values(), strict=True):
+        assert each.fate is fate, str(each.mutant)
+        assert each.case in (names if fate in {Fate.KILLED, Fate.TOLERATED} else [""])
+        assert (clause in each.clauses) if clause else not each.clauses, str(each.mutant)
+    assert found.cases == len(names)
+    assert told[: len(names)] == [f"{SMALL}: {name}" for name in names]
+    assert set(told[len(names) :]) == {f"{SMALL}: {mutant.place}" for mutant in sample}
+
+    assert (found.count(Fate.KILLED), found.count(Fate.UNNOTICED, EARLY)) == (2, 1)
+    assert (found.score(), found.score(EARLY), found.score(WRONG)) == (0.5, 0.5, 1.0)
+    assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-2:]]
+
+
+def test_a_mutant_that_does_not_come_up_is_killed(small: Callable[..., Analysis]) -> None:
+    place = "sdo_information.object_undeclared_described"
+    (found,) = small(named(place, SILENT, "send information_object")).fated
+    assert (found.fate, found.case) == (Fate.KILLED, "power-on")
+
+
+def hang() -> None:
+    while True:
+        pass
+
+
+def fail() -> None:
+    raise ZeroDivisionError
+
+
+@pytest.mark.parametrize("end", [hang, fail])
+def test_a_mutant_that_fails_or_hangs_is_killed(
+    small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch, end: Callable[[], None]
+) -> None:
+    wrong = named(*TOLERATED)
+    react = VirtualSubDevice.react
+
+    def ending(device: VirtualSubDevice, event: Event) -> Step:
+        taken = react(device, event)
+        if wrong.place in map(str, taken.rules) and device.model.protocol is wrong.protocol:
+            end()
+        return taken
+
+    monkeypatch.setattr(VirtualSubDevice, "react", ending)
+    monkeypatch.setattr(mutate, "_PATIENCE", 1.0)
+    (found,) = small(wrong).fated
+    assert found.fate is Fate.KILLED
+    assert "SDO-01" in found.clauses
+
+
+def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
+    """A plain run of all cases blames those mutants that are called killed, and no others."""
+    device = load_device(SMALL)
+    cases = list(few(Model(device), NO_LIMITS, "quick"))
+    found = small(*(named(*mistake) for mistake in [*FATES][1:-1]), *mutants_of(SMALL)[10::900])
+    for each in found.fated:
+        if each.case == "power-on":
+            continue
+        adapter = adapter_of(each.mutant.protocol)
+        runner = Runner(Model(device), adapter, adapter.describe())
+        blamed = next((c.name for c in cases if runner.judge(c).outcome in BLAMING), "")
+        assert bool(blamed) is (each.fate is Fate.KILLED), f"{each.mutant}: {blamed or each.case}"
+    assert {each.fate for each in found.fated} == set(Fate)
+
+
+def test_own_are_the_rules_of_the_device(small: Callable[..., Analysis]) -> None:
+    rule = named("al.safeop_to_op", DROPPED, "identified")
+    mine = replace(rule, at=replace(rule.at, file="mine.ecs"))
+    assert [each.mutant for each in small(rule, mine, own=True).fated] == [mine]
+    assert [each.mutant for each in small(rule, mine).fated] == [rule, mine]
+
+
+def test_without_mutants_nothing_is_missed(small: Callable[..., Analysis]) -> None:
+    assert small().score() == 1.0
+
+
+def test_a_device_that_is_blamed_as_it_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases = all_cases(Model(load_device(SMALL)), NO_LIMITS, "quick")
+    toggles = [case for case in cases if "toggle" in case.name]
+    monkeypatch.setattr(mutate, "all_cases", lambda *_: toggles)
+    faulty = plant(load_device(SMALL), load_faults()["toggle_ignored"])
+    monkeypatch.setattr(mutate, "as_built", lambda _: as_built(faulty))
+    with pytest.raises(UserError, match=r"reference is blamed without a mistake in sdo/.*repair"):
+        analyse(SMALL, depth="quick")
+
+
+def test_the_single_faults_of_finite_machines_are_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(mutate, "all_cases", lambda *_: ())
+    monkeypatch.setattr(mutate, "mutants", lambda _: iter(()))
+    model = Model(load_device(SMALL))
+    (suite,) = complete_suites(model, NO_LIMITS, (), {}, "default")
+    first = replace(suite, suite=state_cover_suite(suite.found.machine))
+    monkeypatch.setattr(mutate, "complete_suites", lambda *_: iter((first,)))
+    found = analyse(SMALL)
+    (table,) = found.tables
+    machine = suite.found.machine
+    assert (table.name, table.states, table.inputs) == ("AL", 30, len(machine.inputs))
+    assert table.kills == kills(machine, first.suite.trie())
+    assert 0 < table.kills.score < 1
+    assert kills(machine, suite.suite.trie()).score == 1
+    assert found.cases == first.suite.tests

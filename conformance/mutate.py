@@ -16,8 +16,9 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeAlias, TypeVar
 
 from ecatspec.conformance.adapter import DeviceFault, DeviceHang
-from ecatspec.conformance.adapters.model import Guarded, VirtualAdapter, described
+from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import Sheet, UserError, load
+from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.verdict import BLAMING
 from ecatspec.generators.case import NO_LIMITS

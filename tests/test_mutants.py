@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import pytest
 
 from ecatspec.conformance import mutate
-from ecatspec.conformance.adapters.model import Guarded, VirtualAdapter, described
+from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.mutate import Fate, analyse
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import BLAMING, Outcome

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
 from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.process import ProcessAdapter
 
 if TYPE_CHECKING:
@@ -118,11 +119,9 @@ def _open_hosted(
 
 
 def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
-    from ecatspec.conformance.adapters.model import Guarded, make
-
     options = parse_options(rest)
     try:
-        return Guarded(make(device, options))
+        return Guarded(_make("model", device, options))
     except UserError as error:
         raise AdapterError(f"cannot set up 'model': {error}") from None
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapter import (
     AdapterError,
     Description,
-    DeviceCrash,
     check_duration,
     check_span,
 )
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from ecatspec.spec.language.ir import Protocol
-
-_T = TypeVar("_T")
-_P = ParamSpec("_P")
 
 
 def make(device: str, options: Mapping[str, str]) -> VirtualAdapter:
@@ -102,46 +98,3 @@ class VirtualAdapter:
     def describe(self) -> Description:
         """What was given."""
         return self._description
-
-
-class Guarded:
-    """A virtual SubDevice in the process of the run: what it raises is its crash."""
-
-    def __init__(self, adapter: VirtualAdapter) -> None:
-        self._adapter = adapter
-
-    def reset(self) -> None:
-        """Power cycle."""
-        self._adapter.reset()
-
-    def read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Read as the MainDevice."""
-        return _answered(self._adapter.read, address, length)
-
-    def write(self, address: int, data: bytes) -> int:
-        """Write as the MainDevice."""
-        return _answered(self._adapter.write, address, data)
-
-    def advance(self, seconds: float) -> None:
-        """Let virtual time pass."""
-        _answered(self._adapter.advance, seconds)
-
-    def local(self, event: str) -> None:
-        """Make a local event befall the device."""
-        _answered(self._adapter.local, event)
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-    def describe(self) -> Description:
-        """What was given."""
-        return self._adapter.describe()
-
-
-def _answered(ask: Callable[_P, _T], *arguments: _P.args, **words: _P.kwargs) -> _T:
-    try:
-        return ask(*arguments, **words)
-    except AdapterError:
-        raise
-    except Exception as error:
-        raise DeviceCrash(f"{type(error).__name__}: {error}") from error

@@ -130,6 +130,10 @@ class _Player:
         needs = None
         if beneath and tuple(beneath) == WAY_UP[1 : len(beneath) + 1]:
             needs = beneath[-1]
+        if needs is not None and mailbox_settings(
+            self._model, boundary.written
+        ) != mailbox_settings(self._model):
+            raise _Unplayable("no device needs to come so far with such mailboxes")
         if needs is not None and last.kind == "frame":
             stimuli.append(Probe())
         rule = boundary.rule

@@ -101,7 +101,10 @@ def frames(model: Model, names: Iterable[str] | None = None) -> st.SearchStrateg
 
 
 def malformed(model: Model) -> st.SearchStrategy[SendFrame]:
-    """Draw requests with one fault each: a length, a constant, a count or a reserved field."""
+    """Draw requests with one fault each: a length, a constant, a count or a reserved field.
+
+    What they are made of is drawn too: a contradiction in it may be undone by the fault.
+    """
 
     def broken(valid: SendFrame) -> st.SearchStrategy[SendFrame]:
         variants = family_of(model, valid.frame, valid.fields)

@@ -168,6 +168,8 @@ class ProcessImage:
         direction = self._direction(index)
         if direction is not None:
             return self._can_map(direction, number)
+        if index not in self.assignments.values():
+            return UNKNOWN
         if self._direction(number) != self._name(index):
             return False
         return self._exists((number, 0))

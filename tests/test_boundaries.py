@@ -15,7 +15,9 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.boundary_cover import BoundaryCases, boundary_cases, boundary_cover
+from ecatspec.generators.bringup import way_to
 from ecatspec.generators.case import NO_LIMITS, Probe, SendFrame
+from ecatspec.generators.play import play
 from ecatspec.model.boundaries import Boundaries, Boundary
 from ecatspec.model.comparisons import Side
 from ecatspec.model.compiled import Model
@@ -100,8 +102,9 @@ def test_the_solver_and_trying_agree_where_requests_change_the_rule() -> None:
 
 def test_one_side_takes_the_rule_and_the_other_does_not() -> None:
     model = Model(load_device(DEVICE), assuming=True)
-    state = VirtualSubDevice(model.protocol).state
-    preop = state.having(model.slots["al.state"], 2)
+    device = VirtualSubDevice(model.protocol)
+    play(model, device, way_to(model, "PREOP"))
+    preop = device.state
     (below,) = [
         each
         for each in vectors()[0]

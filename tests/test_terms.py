@@ -22,6 +22,7 @@ from ecatspec.model.functions import PLAIN
 from ecatspec.model.interpreter import step
 from ecatspec.model.meaning import Meaning
 from ecatspec.model.moments import Content, Moment
+from ecatspec.model.shown import usual_mailbox
 from ecatspec.model.state import Event, RuleName
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.terms import (
@@ -439,6 +440,8 @@ def test_unknown_to_the_interpreter_is_open_to_the_solver() -> None:
     assert solver.ask((taken, refused)) is Answer.NO
     state = model.initial.having(model.slots["al.state"], row(model, "al_state", "PREOP"))
     state = state.having(model.slots["choice mailbox_support"], "present")
+    for name, value in usual_mailbox(model).items():
+        state = state.having(model.slots[name], value)
     fields: dict[str, Value] = {
         "channel": 1, "reserved": 0, "address": 0, "counter": 0, "length": 8, "priority": 0,
         "type": row(model, "mailbox_type", "coe"), "payload": bytes(8),

@@ -20,7 +20,7 @@ from ecatspec.conformance.runner import Runner, limits_of
 from ecatspec.conformance.session import Deviation
 from ecatspec.conformance.shrink import shortest
 from ecatspec.generators import strategies
-from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
@@ -214,7 +214,7 @@ def _machine(bench: _Bench) -> type[RuleBasedStateMachine]:
 
         @rule(state=st.sampled_from(_GOALS[1:]))
         def go_to(self, state: str) -> None:
-            self._do(request(row(model, "al_state", WAY_UP[0]), acknowledge=True))
+            self._do(request(model.row("al_state", WAY_UP[0]), acknowledge=True))
             self._do(*way_to(model, state))
 
         @rule(state=st.sampled_from(states), acknowledge=truths)

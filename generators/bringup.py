@@ -14,14 +14,13 @@ from ecatspec.generators.case import (
     WriteRegisters,
 )
 from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.shown import mailbox_fields
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from ecatspec.model.compiled import Model
 
-AREAS = {"sync_manager_0": "mailbox_out", "sync_manager_1": "mailbox_in"}
-DIRECTIONS = {"sync_manager_0": "main_writes", "sync_manager_1": "main_reads"}
 WATCHDOG = 20_000
 """Ticks of the process data watchdog: a test over a slow line must keep it quiet."""
 _BEFORE: Mapping[str, tuple[Stimulus, ...]] = {
@@ -31,11 +30,6 @@ _BEFORE: Mapping[str, tuple[Stimulus, ...]] = {
 WAY_UP = ("INIT", "PREOP", "SAFEOP", "OP")
 
 
-def row(model: Model, table: str, name: str) -> int:
-    """Give the value of a row of a code table."""
-    return next(r.value for r in model.protocol.tables[table].rows if r.name == name)
-
-
 def mailbox_settings(
     model: Model, changes: Mapping[str, Mapping[str, int]] | None = None
 ) -> tuple[Stimulus, ...]:
@@ -43,17 +37,11 @@ def mailbox_settings(
     changes = changes or {}
     stimuli: list[Stimulus] = []
     for name in SYNC_MANAGERS:
-        fields = {
-            "start": model.parameter(AREAS[name], "start"),
-            "length": model.parameter(AREAS[name], "length"),
-            "mode": row(model, "sync_manager_mode", "mailbox"),
-            "direction": row(model, "sync_manager_direction", DIRECTIONS[name]),
-        }
         activation = f"{name}_activation"
         stimuli.append(
             WriteRegisters(
                 (
-                    WriteRegister(name, fields | dict(changes.get(name, {}))),
+                    WriteRegister(name, mailbox_fields(model, name) | dict(changes.get(name, {}))),
                     WriteRegister(activation, changes.get(activation, {"enabled": 1})),
                 )
             )
@@ -72,7 +60,7 @@ def way_to(model: Model, state: str) -> tuple[Stimulus, ...]:
     for name in WAY_UP[1 : WAY_UP.index(state) + 1]:
         if has_process_data(model):
             stimuli += _BEFORE.get(name, ())
-        stimuli.append(request(row(model, "al_state", name)))
+        stimuli.append(request(model.row("al_state", name)))
     return tuple(stimuli)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, way_to
 from ecatspec.generators.case import Case, Probe, ReadConfiguration, SetUpProcessData, WriteOutputs
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import encode_value, size_of
@@ -64,11 +64,11 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     for state in ("SAFEOP", "OP"):
         yield _case(model, f"changed_in_{state}/{key}", (clear, _ask(index, 0)), state)
         yield _case(model, f"entry_changed_in_{state}/{key}", (first, _ask(index, 1)), state)
-    to_init = request(row(model, "al_state", "INIT"))
-    preop = request(row(model, "al_state", "PREOP"))
+    to_init = request(model.row("al_state", "INIT"))
+    preop = request(model.row("al_state", "PREOP"))
     again = (to_init, *mailbox_settings(model), preop, ReadConfiguration())
     yield _case(model, f"survives_init/{key}", (*_assign(model, index, own[-1]), *again))
-    safeop = request(row(model, "al_state", "SAFEOP"))
+    safeop = request(model.row("al_state", "SAFEOP"))
     late = (SetUpProcessData(), *_assign(model, index, own[-1]), safeop)
     yield _case(model, f"settings_before/{key}", late)
 
@@ -79,7 +79,7 @@ def _assign(model: Model, index: int, pdo: int) -> tuple[Stimulus, ...]:
 
 def _up(model: Model) -> tuple[Stimulus, ...]:
     """Give the way from PREOP to OP with the process data that are assigned by then."""
-    safeop, op = (request(row(model, "al_state", name)) for name in ("SAFEOP", "OP"))
+    safeop, op = (request(model.row("al_state", name)) for name in ("SAFEOP", "OP"))
     return SetUpProcessData(), safeop, WriteOutputs(), op
 
 

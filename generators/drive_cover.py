@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import has_process_data, request, row, way_to
+from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
@@ -185,14 +185,14 @@ def _reads(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
 def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     """Yield what takes OP away in each drive state, and the way back."""
     again = tuple(WriteOutputs({CONTROL: value}) for value in (0, 0))
-    op = request(row(model, "al_state", "OP"))
-    safeop = request(row(model, "al_state", "SAFEOP"), acknowledge=True)
+    op = request(model.row("al_state", "OP"))
+    safeop = request(model.row("al_state", "SAFEOP"), acknowledge=True)
     options: list[int | None] = [*_values(model, "connection_code")] or [None]
     for name, way in ways.items():
         for target in ("SAFEOP", "PREOP", "INIT"):
-            down = request(row(model, "al_state", target))
+            down = request(model.row("al_state", target))
             yield _in(model, f"leaving_by_{target}/{name}", (*_of(way), down))
-        down = request(row(model, "al_state", "SAFEOP"))
+        down = request(model.row("al_state", "SAFEOP"))
         yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again))
         yield _in(model, f"watchdog/{name}", (*_of(way), StopOutputs(), Wait(_LONG)))
         yield _in(model, f"sync_lost/{name}", (*_of(way), Happen("al.sync_lost")))
@@ -218,7 +218,7 @@ def _resets(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
 def _early(model: Model) -> Iterator[Case]:
     """Yield control words before OP, by process data and by SDO, and then OP."""
     control, status = (model.protocol.words[name].key for name in (CONTROL, STATUS))
-    op = request(row(model, "al_state", "OP"))
+    op = request(model.row("al_state", "OP"))
     for name, value in commands(model).items():
         yield _in(model, f"early/{name}", (WriteOutputs({CONTROL: value}), op), "SAFEOP")
     if control is not None and status is not None:

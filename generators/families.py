@@ -12,9 +12,8 @@ from enum import StrEnum
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import AREAS
 from ecatspec.generators.case import SendFrame
-from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.esc import AREAS, SYNC_MANAGERS
 from ecatspec.spec.language.ir import Bool, Bytes, Named
 from ecatspec.spec.language.scope import names_in, width_of
 

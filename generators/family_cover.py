@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import case_in, row
+from ecatspec.generators.bringup import case_in
 from ecatspec.generators.families import Family, Variant, family_of, request_frames
 from ecatspec.generators.mailbox_cover import probe_entry
 from ecatspec.generators.transfer_cover import transfer_target
@@ -39,7 +39,7 @@ def family_cover(model: Model, limits: Limits) -> Iterator[Case]:
         "sdo_download_segment": ({"last": True, "value": pattern(size)}, [begin]),
         "sdo_upload_segment": ({}, []),
         "sdo_abort": (place, []),
-        "information_list_request": ({"list_type": row(model, "object_list_type", "all")}, []),
+        "information_list_request": ({"list_type": model.row("object_list_type", "all")}, []),
         "information_object_request": ({"index": known.index}, []),
         "information_entry_request": ({"index": known.index, "subindex": known.subindex}, []),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import case_in, row
+from ecatspec.generators.bringup import case_in
 from ecatspec.generators.case import Case, Limits, SendFrame, Stimulus
 from ecatspec.generators.complete_cover import objects
 from ecatspec.generators.sdo_cover import missing_indexes, missing_subindexes
@@ -25,7 +25,7 @@ def information_cover(model: Model, _: Limits) -> Iterator[Case]:
     stimuli: list[Stimulus] = []
     for kind in (*kinds, kinds[-1] + 1, _LAST):
         yield _case(model, f"list/{kind}", f"object list of type {kind}", [list_request(kind)])
-    all_objects = list_request(row(model, "object_list_type", "all"))
+    all_objects = list_request(model.row("object_list_type", "all"))
     yield _case(model, "list_twice", "the list of all objects twice", [all_objects, all_objects])
     for index, entries in objects(model).items():
         stimuli = [object_request(index)]

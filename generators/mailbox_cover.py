@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import WAY_UP, case_in, mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import WAY_UP, case_in, mailbox_settings, request, way_to
 from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, Stimulus
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import size_of, size_varies
@@ -87,7 +87,7 @@ def _counters(model: Model, ask: SendFrame) -> Iterator[Case]:
             first.frame, {**first.fields, "value": b"\1" * size_of(write)}, same_counter=True
         )
         look = upload(write.index, write.subindex)
-        down, up = (request(row(model, "al_state", name)) for name in ("INIT", "PREOP"))
+        down, up = (request(model.row("al_state", name)) for name in ("INIT", "PREOP"))
         other = SendFrame(first.frame, second.fields)
         title = "a request in INIT has no effect"
         yield case_in(model, "mailbox/write_in_INIT", title, [look, down, other, up, look])
@@ -106,7 +106,7 @@ def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
     title = "a message in INIT that is too long for the mailbox"
     flag = "length_beyond"
     yield Case("mailbox/beyond_in_INIT", title, "mailbox", stimuli, prelude=2, flag=flag)
-    down = [request(row(model, "al_state", name)) for name in ("INIT", "PREOP")]
+    down = [request(model.row("al_state", name)) for name in ("INIT", "PREOP")]
     title = "counters start afresh with the mailbox"
     yield case_in(model, "mailbox/restart", title, [ask, *down, ask, ask])
     twin = replace(ask, same_counter=True)
@@ -114,7 +114,7 @@ def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
     yield case_in(model, "mailbox/restart_same_counter", title, [ask, *down, twin])
     known = [len(way_to(model, state)) for state in ("PREOP", "SAFEOP")]
     up = way_to(model, "OP")
-    down = [request(row(model, "al_state", name)) for name in ("SAFEOP", "PREOP")]
+    down = [request(model.row("al_state", name)) for name in ("SAFEOP", "PREOP")]
     steps = [up[known[0] : known[1]], up[known[1] :], *((each,) for each in down)]
     around: list[Stimulus] = [stimulus for way in steps for stimulus in (*way, ask)]
     yield case_in(model, "mailbox/through_the_states", "an upload in each state", around)
@@ -127,10 +127,10 @@ def _unread(model: Model, ask: SendFrame) -> Iterator[Case]:
     title = "a duplicate while a reply is unread"
     twin = replace(ask, same_counter=True)
     yield case_in(model, "mailbox/duplicate_pending", title, [left, twin, ask])
-    safeop = request(row(model, "al_state", "SAFEOP"))
+    safeop = request(model.row("al_state", "SAFEOP"))
     title = "a reply that is unread over a change of state"
     yield case_in(model, "mailbox/reply_over_safeop", title, [left, safeop, ask])
-    down = [request(row(model, "al_state", name)) for name in ("INIT", "PREOP")]
+    down = [request(model.row("al_state", name)) for name in ("INIT", "PREOP")]
     title = "a reply that is unread when the mailbox stops"
     yield case_in(model, "mailbox/reply_over_init", title, [left, *down, ask])
 
@@ -161,14 +161,14 @@ def _repeats(model: Model, ask: SendFrame) -> Iterator[Case]:
             [
                 ask,
                 again,
-                *(request(row(model, "al_state", n)) for n in ("INIT", "PREOP")),
+                *(request(model.row("al_state", n)) for n in ("INIT", "PREOP")),
                 ask,
                 again,
             ],
         ),
         "repeat_in_safeop": (
             "repeat in SAFEOP",
-            [ask, request(row(model, "al_state", "SAFEOP")), again, other, again],
+            [ask, request(model.row("al_state", "SAFEOP")), again, other, again],
         ),
     }
     for name, (title, stimuli) in runs.items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import WATCHDOG, has_process_data, request, row, way_to
+from ecatspec.generators.bringup import WATCHDOG, has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
@@ -52,10 +52,10 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
 
 def _settings(model: Model, used: list[str]) -> Iterator[Case]:
     """Yield settings that deviate in one point, then the right ones."""
-    mailbox = row(model, "sync_manager_mode", "mailbox")
+    mailbox = model.row("sync_manager_mode", "mailbox")
     for name in used:
         wrong_way = "main_reads" if name == _OUTPUTS else "main_writes"
-        direction = row(model, "sync_manager_direction", wrong_way)
+        direction = model.row("sync_manager_direction", wrong_way)
         area = {_OUTPUTS: "process_data_out", _INPUTS: "process_data_in"}[name]
         moved = model.parameter(area, "start") + 3 * model.parameter(area, "length")
         wrong = {
@@ -127,7 +127,7 @@ def _watchdog_time(model: Model) -> int:
 
 
 def _to(model: Model, state: str, *, acknowledge: bool = False) -> WriteRegister:
-    return request(row(model, "al_state", state), acknowledge=acknowledge)
+    return request(model.row("al_state", state), acknowledge=acknowledge)
 
 
 def _case(model: Model, name: str, stimuli: tuple[Stimulus, ...], state: str) -> Case:

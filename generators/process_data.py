@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import row
 from ecatspec.generators.case import WriteRegister, WriteRegisters
-from ecatspec.model.esc import PROCESS_DATA
+from ecatspec.model.esc import AREAS, DIRECTIONS, PROCESS_DATA
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.process_image import INPUTS, OUTPUTS, placed
 
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from ecatspec.model.state import State
 
 _BYTE = 8
-_AREAS = dict(zip(PROCESS_DATA, ("process_data_out", "process_data_in"), strict=True))
-_DIRECTIONS = dict(zip(PROCESS_DATA, ("main_writes", "main_reads"), strict=True))
 _ASSIGNMENTS = dict(zip(PROCESS_DATA, (OUTPUTS, INPUTS), strict=True))
 
 
@@ -38,10 +35,10 @@ def settings(model: Model, state: State, wanted: SetUpProcessData) -> tuple[Writ
     for name in PROCESS_DATA:
         size = image_size(model, state, name) or 0
         fields = {
-            "start": model.parameter(_AREAS[name], "start"),
+            "start": model.parameter(AREAS[name], "start"),
             "length": max(0, size + wanted.longer.get(name, 0)),
-            "mode": row(model, "sync_manager_mode", "buffered"),
-            "direction": row(model, "sync_manager_direction", _DIRECTIONS[name]),
+            "mode": model.row("sync_manager_mode", "buffered"),
+            "direction": model.row("sync_manager_direction", DIRECTIONS[name]),
         }
         if name == PROCESS_DATA[0]:
             fields["watchdog_trigger"] = 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import case_in, request, row
+from ecatspec.generators.bringup import case_in, request
 from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, SendSegments, Stimulus
 from ecatspec.generators.sdo_cover import entry_name, is_written, missing_indexes, state_of, writing
 from ecatspec.generators.transfers import (
@@ -355,7 +355,7 @@ def _unknown_commands(model: Model) -> list[int]:
 
 
 def _restart(model: Model) -> list[Stimulus]:
-    return [request(row(model, "al_state", name)) for name in ("INIT", "PREOP")]
+    return [request(model.row("al_state", name)) for name in ("INIT", "PREOP")]
 
 
 # --- what can happen in the middle of an upload ---------------------------------------------------

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, row
+from ecatspec.generators.bringup import has_process_data, mailbox_settings, request
 from ecatspec.generators.case import (
     Case,
     SetUpProcessData,
@@ -57,13 +57,13 @@ def symbols(model: Model) -> tuple[Symbol, ...]:
 def wrong_settings(model: Model) -> tuple[Symbol, ...]:
     """Give mailbox settings that deviate in one point."""
     smallest = model.parameter("minimal_mailbox")
-    buffered = row(model, "sync_manager_mode", "buffered")
+    buffered = model.row("sync_manager_mode", "buffered")
     found: list[Symbol] = []
     for name, wrong in zip(SYNC_MANAGERS, ("main_reads", "main_writes"), strict=True):
         start = model.parameter(
             {0: "mailbox_out", 1: "mailbox_in"}[SYNC_MANAGERS.index(name)], "start"
         )
-        direction = row(model, "sync_manager_direction", wrong)
+        direction = model.row("sync_manager_direction", wrong)
         off = mailbox_settings(model, {f"{name}_activation": {"enabled": 0}})
         found += [
             (f"{name}_off", off),
@@ -92,7 +92,7 @@ def transition_cover(model: Model, _: Limits) -> Iterator[Case]:
     for way in ways.values():
         for symbol in alphabet:
             yield _case(way, symbol)
-    preop = request(row(model, "al_state", "PREOP"))
+    preop = request(model.row("al_state", "PREOP"))
     for name, stimuli in wrong_settings(model):
         yield _case(((name, stimuli),), ("request_PREOP", (preop,)))
 

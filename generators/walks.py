@@ -15,7 +15,6 @@ from ecatspec.generators.bringup import (
     WAY_UP,
     mailbox_settings,
     request,
-    row,
 )
 from ecatspec.generators.case import (
     Case,
@@ -239,7 +238,7 @@ class _Walker:
         return (SetUpProcessData({name: {kind: value}}),)
 
     def _value(self, state: str) -> int:
-        return row(self._model, "al_state", state)
+        return self._model.row("al_state", state)
 
     # --- process data, time, what befalls ---------------------------------------------------------
 

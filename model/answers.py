@@ -234,10 +234,13 @@ class Answers:
         for key, entry in self._entries.items():
             if entry.access not in {never, Access.NONE}:
                 wanted[entry.read_states if reading else entry.states].append(key)
-        rows = {row.name: row.value for row in self._model.protocol.tables["al_state"].rows}
         now = world.get(_AL_STATE)
         for states, keys in wanted.items():
-            fits = any_of(equal(now, rows[state]) for state in states) if states else True
+            fits = (
+                any_of(equal(now, self._model.row("al_state", name)) for name in states)
+                if states
+                else True
+            )
             self._symbols.fact(
                 answer, _implies(_place(values, keys, of_index=False), equal(answer, fits))
             )

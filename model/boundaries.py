@@ -15,7 +15,7 @@ from ecatspec.model.chains import Chains
 from ecatspec.model.comparisons import OFFSETS, Guards, Side, compares, constraints
 from ecatspec.model.compiled import MAILBOX, rows_of
 from ecatspec.model.dictionary import CROWDED
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.esc import AREAS, SYNC_MANAGERS
 from ecatspec.model.examples import Example
 from ecatspec.model.forgetful import ForgetfulSolver
 from ecatspec.model.meaning import Meaning
@@ -54,13 +54,6 @@ _BEFORE: Final = "before "
 """So begin the names of what a register or word held before; nobody sends that."""
 _REGISTER: Final = "register "
 _COUNTER: Final = "counter"
-_AREAS: Final = dict(
-    zip(
-        (*SYNC_MANAGERS, *PROCESS_DATA),
-        ("mailbox_out", "mailbox_in", "process_data_out", "process_data_in"),
-        strict=True,
-    )
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -434,7 +427,7 @@ class Boundaries:
     def _settings(self, names: set[str]) -> tuple[Term, ...]:
         """Give that SyncManagers lie where the device has its areas."""
         found = []
-        for manager, area in _AREAS.items():
+        for manager, area in AREAS.items():
             for part in ("start", "length"):
                 name = f"{_REGISTER}{manager}.{part}"
                 fixed = part == "start" or manager in SYNC_MANAGERS
@@ -494,4 +487,4 @@ def _is_setting(symbol: str) -> bool:
     """Tell whether a symbol is what a SyncManager was set to before the first input."""
     register, dot, _ = symbol.removeprefix(_REGISTER).partition(".")
     manager = register.removesuffix("_activation")
-    return symbol.startswith(_REGISTER) and bool(dot) and manager in _AREAS
+    return symbol.startswith(_REGISTER) and bool(dot) and manager in AREAS

@@ -362,6 +362,10 @@ class Model:
             raise TypeError(f"{parameter.at}: `{name}` is no number")
         return value
 
+    def row(self, table: str, name: str) -> int:
+        """Give the value of a row of a code table."""
+        return next(row.value for row in self.protocol.tables[table].rows if row.name == name)
+
     @cached_property
     def _al_state_slot(self) -> int:
         return self.slots["al.state"]

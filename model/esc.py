@@ -30,6 +30,12 @@ SYNC_MANAGERS = ("sync_manager_0", "sync_manager_1")
 PROCESS_DATA = ("sync_manager_2", "sync_manager_3")
 """The SyncManagers of process data, the MainDevice's output first."""
 _ALL = SYNC_MANAGERS + PROCESS_DATA
+AREAS = dict(
+    zip(_ALL, ("mailbox_out", "mailbox_in", "process_data_out", "process_data_in"), strict=True)
+)
+"""SyncManager -> the parameter that says where its memory usually lies."""
+DIRECTIONS = dict(zip(_ALL, ("main_writes", "main_reads") * 2, strict=True))
+"""SyncManager -> the row of `sync_manager_direction` that is right for it."""
 
 
 def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
@@ -79,10 +85,9 @@ class Esc:
         self._al_bit = 1 << model.parameter("al_control_event")
         self._change_bit = 1 << model.parameter("sync_manager_change_event")
         self._first_bit = model.parameter("first_sync_manager_event")
-        rows = {row.name: row.value for row in protocol.tables["sync_manager_mode"].rows}
-        self._mailbox_mode, self._buffered_mode = rows["mailbox"], rows["buffered"]
-        rows = {row.name: row.value for row in protocol.tables["sync_manager_direction"].rows}
-        self._main_writes = rows["main_writes"]
+        self._mailbox_mode = model.row("sync_manager_mode", "mailbox")
+        self._buffered_mode = model.row("sync_manager_mode", "buffered")
+        self._main_writes = model.row("sync_manager_direction", "main_writes")
         self._writable = [r for r in protocol.registers.values() if r.main is Access.BOTH]
         self._fmmu_registers = fmmu_registers(protocol)
         self._fmmus: tuple[Fmmu, ...] | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.model.esc import SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.esc import AREAS, DIRECTIONS, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import fields_with_before
 from ecatspec.model.once import once
@@ -33,29 +33,29 @@ def enabled(model: Model, state: State, name: str) -> bool | None:
 @once
 def usual_mailbox(model: Model) -> dict[str, int]:
     """Give the slots of the mailbox SyncManagers as they are where nobody saw them set."""
-    codes = {
-        name: {code.name: code.value for code in model.protocol.tables[f"sync_manager_{name}"].rows}
-        for name in ("mode", "direction")
-    }
     found = {}
-    for name, direction in zip(SYNC_MANAGERS, ("main_writes", "main_reads"), strict=True):
-        start, length = _own_area(model, name)
-        settings = {
-            "start": start,
-            "length": length,
-            "mode": codes["mode"]["mailbox"],
-            "direction": codes["direction"][direction],
-        }
+    for name in SYNC_MANAGERS:
         fields = {field.name: field.low for field in model.protocol.registers[name].fields}
+        settings = mailbox_fields(model, name)
         found[f"register {name}"] = sum(value << fields[n] for n, value in settings.items())
         activation = f"{name}_activation"
         found[f"register {activation}"] = field_mask(model.protocol, activation, "enabled")
     return found
 
 
+def mailbox_fields(model: Model, name: str) -> dict[str, int]:
+    """Give the fields of a mailbox SyncManager as a device wants them."""
+    start, length = _own_area(model, name)
+    return {
+        "start": start,
+        "length": length,
+        "mode": model.row("sync_manager_mode", "mailbox"),
+        "direction": model.row("sync_manager_direction", DIRECTIONS[name]),
+    }
+
+
 def _own_area(model: Model, name: str) -> tuple[int, int]:
-    parameter = "mailbox_out" if name == SYNC_MANAGERS[0] else "mailbox_in"
-    return model.parameter(parameter, "start"), model.parameter(parameter, "length")
+    return model.parameter(AREAS[name], "start"), model.parameter(AREAS[name], "length")
 
 
 @once

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.generators.bringup import mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import mailbox_settings, request, way_to
 from ecatspec.generators.play import play
 from ecatspec.model.subdevice import VirtualSubDevice
 
@@ -38,7 +38,7 @@ def shown(model: Model, device: VirtualSubDevice) -> tuple[str, bool]:
 
 
 def to(model: Model, state: str) -> Stimulus:
-    return request(row(model, "al_state", state))
+    return request(model.row("al_state", state))
 
 
 def way(model: Model, state: str) -> tuple[Stimulus, ...]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from desk import STATES, WAYS, Desk, shown, to, way
 
-from ecatspec.generators.bringup import row
 from ecatspec.generators.case import Happen, SetUpProcessData, WriteRegister
 from ecatspec.generators.play import play
 from ecatspec.model.compiled import Model
@@ -250,7 +249,7 @@ def test_an_error_keeps_the_state_or_leads_down(
 ) -> None:
     """ANOM-020: both are allowed, the way down shows the error indication."""
     begun = VirtualSubDevice(model.protocol).state
-    begun = begun.having(model.slots["al.state"], row(model, "al_state", "OP"))
+    begun = begun.having(model.slots["al.state"], model.row("al_state", "OP"))
     ends = {}
     for alternative in ("kept", "down"):
         state = begun.having(model.slots[f"choice {choice}"], alternative)
@@ -331,8 +330,8 @@ def test_an_upload_has_one_segment(model: Model, brought: int) -> None:
     """Whatever the first response left over comes at once, and is the last."""
     content = bytes.fromhex("01020304")
     slots: dict[str, Value] = {
-        "al.state": row(model, "al_state", "PREOP"),
-        "sdo.state": row(model, "sdo_state", "UPLOADING"),
+        "al.state": model.row("al_state", "PREOP"),
+        "sdo.state": model.row("sdo_state", "UPLOADING"),
         "sdo.index": 0x1018,
         "sdo.subindex": 1,
         "sdo.size": len(content),
@@ -362,7 +361,7 @@ def test_objects_of_texts_are_not_there(desk: Desk, index: int) -> None:
 def test_no_answer_but_the_refusal_is_allowed_there(model: Model, index: int, event: str) -> None:
     """The dictionary is open: another object may exist, these may not."""
     assert not model.protocol.dictionary.closed
-    state = model.initial.having(model.slots["al.state"], row(model, "al_state", "PREOP"))
+    state = model.initial.having(model.slots["al.state"], model.row("al_state", "PREOP"))
     fields: dict[str, Value] = {"index": index, "subindex": 0, "complete": False}
     if event == "write":
         fields |= {"size": 1, "value": b"\1"}
@@ -398,7 +397,7 @@ def test_what_the_assignment_takes(desk: Desk, index: int, first: int) -> None:
 
 def test_the_own_pdo_must_be_taken(model: Model) -> None:
     """ANOM-050: another one of the four may be refused for a reason that only the drive knows."""
-    state = model.initial.having(model.slots["al.state"], row(model, "al_state", "PREOP"))
+    state = model.initial.having(model.slots["al.state"], model.row("al_state", "PREOP"))
 
     def rules(value: int) -> set[str]:
         fields: dict[str, Value] = {

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from desk import to
 
-from ecatspec.generators.bringup import mailbox_settings, row, way_to
+from ecatspec.generators.bringup import mailbox_settings, way_to
 from ecatspec.generators.case import SetUpProcessData, Stimulus, WriteOutputs
 from ecatspec.generators.play import play
 from ecatspec.model.compiled import Model
@@ -152,7 +152,7 @@ def having(model: Model, choices: dict[str, str]) -> State:
 )
 def test_the_mailbox_of_boot_may_be_another(model: Model, way: str, rule: str) -> None:
     state = having(model, {"bootstrap_mailbox": way, "mailbox_address": "refuse"})
-    asked = {"requested": row(model, "al_state", "BOOT"), "acknowledge": False}
+    asked = {"requested": model.row("al_state", "BOOT"), "acknowledge": False}
     (taken,) = step(model, state, Event("al", "request", {**asked, "identification": False}))
     assert [str(name) for name in taken.rules] == [f"al.{rule}"]
 
@@ -160,7 +160,7 @@ def test_the_mailbox_of_boot_may_be_another(model: Model, way: str, rule: str) -
 def test_the_terminal_may_refuse_safeop_for_its_clocks(model: Model) -> None:
     device = VirtualSubDevice(model.protocol)
     play(model, device, (*way_to(model, "PREOP"), SetUpProcessData()))
-    asked = {"requested": row(model, "al_state", "SAFEOP"), "acknowledge": False}
+    asked = {"requested": model.row("al_state", "SAFEOP"), "acknowledge": False}
     event = Event("al", "request", {**asked, "identification": False})
     ways = {str(taken.rules[0]) for taken in step(model, device.state, event)}
     assert ways == {"al.preop_to_safeop", "al.preop_to_safeop_held", "al.clocks_refused"}

@@ -16,7 +16,7 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, make
 from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.bringup import request, row, way_to
+from ecatspec.generators.bringup import request, way_to
 from ecatspec.generators.case import (
     NO_LIMITS,
     Case,
@@ -259,7 +259,7 @@ def test_what_an_adapter_cannot_raise_is_skipped_with_the_reason() -> None:
 
 
 def refused(settings: SetUpProcessData) -> list[str]:
-    safeop = request(row(MODEL, "al_state", "SAFEOP"))
+    safeop = request(MODEL.row("al_state", "SAFEOP"))
     run = runner(VirtualSubDevice(REFERENCE))
     verdict = run.judge(case(settings, safeop, state="PREOP"))
     assert verdict.outcome is Outcome.PASS
@@ -322,7 +322,7 @@ def test_a_drive_is_enabled_through_logical_addresses() -> None:
         return int.from_bytes(back[outputs : outputs + 2], "little")
 
     cycle(0)
-    play(MODEL, device, (request(row(MODEL, "al_state", "OP")),))
+    play(MODEL, device, (request(MODEL.row("al_state", "OP")),))
     known = commands(MODEL)
     for name in ("shutdown", "switch_on", "enable_operation", "enable_operation"):
         cycle(known[name])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ecatspec.generators.bringup import mailbox_settings, request, row
+from ecatspec.generators.bringup import mailbox_settings, request
 from ecatspec.generators.play import play
 from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import VirtualSubDevice
@@ -264,10 +264,10 @@ def test_mailbox_areas_are_checked_on_the_way_to_preop(
 ) -> None:
     model = Model(akd)
     device = VirtualSubDevice(akd)
-    preop = request(row(model, "al_state", "PREOP"))
+    preop = request(model.row("al_state", "PREOP"))
     play(model, device, (*mailbox_settings(model, settings), preop))
     if code is None:
-        assert device.esc.register("al_status") == row(model, "al_state", "PREOP")
+        assert device.esc.register("al_status") == model.row("al_state", "PREOP")
     else:
         assert device.esc.register("al_status_code") == code
 

@@ -230,10 +230,6 @@ def model(s300: Protocol) -> Model:
     return Model(s300)
 
 
-def row(model: Model, table: str, name: str) -> int:
-    return next(r.value for r in model.protocol.tables[table].rows if r.name == name)
-
-
 def drive_state(model: Model, state: State) -> str:
     value = state.slots[model.slots["ds402.state"]]
     return next(r.name for r in model.protocol.tables["ds402_state"].rows if r.value == value)
@@ -248,8 +244,8 @@ def placed(model: Model, state: str, **variables: bool) -> State:
         "return_edge": "of_either",
         "return_from_quick_stop": "served",
     }
-    placed = model.initial.having(model.slots["al.state"], row(model, "al_state", "OP"))
-    placed = placed.having(model.slots["ds402.state"], row(model, "ds402_state", state))
+    placed = model.initial.having(model.slots["al.state"], model.row("al_state", "OP"))
+    placed = placed.having(model.slots["ds402.state"], model.row("ds402_state", state))
     for name, way in choices.items():
         placed = placed.having(model.slots[f"choice {name}"], way)
     for name, value in variables.items():
@@ -403,7 +399,7 @@ def test_held_words_move_nothing_but_transition_2(model: Model) -> None:
 
 def test_a_word_below_op_has_no_effect(model: Model) -> None:
     begun = placed(model, "SWITCH_ON_DISABLED", mains=True)
-    begun = begun.having(model.slots["al.state"], row(model, "al_state", "SAFEOP"))
+    begun = begun.having(model.slots["al.state"], model.row("al_state", "SAFEOP"))
     (taken,) = step(model, begun, written(model, 0, 0x06))
     assert drive_state(model, taken.state) == "SWITCH_ON_DISABLED"
 

@@ -12,7 +12,6 @@ from desk import STATES, WAYS, Desk, shown, to, way
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.bringup import row
 from ecatspec.generators.case import (
     NO_LIMITS,
     Happen,
@@ -226,10 +225,10 @@ def test_there_is_no_synchronisation_to_lose(model: Model) -> None:
 @pytest.mark.parametrize(("way_gone", "reached"), [("kept", "OP"), ("down", "SAFEOP")])
 def test_without_outputs_it_stays_or_goes_down(model: Model, way_gone: str, reached: str) -> None:
     state = VirtualSubDevice(model.protocol).state
-    state = state.having(model.slots["al.state"], row(model, "al_state", "OP"))
+    state = state.having(model.slots["al.state"], model.row("al_state", "OP"))
     state = state.having(model.slots["choice watchdog_expiry"], way_gone)
     (taken,) = step(model, state, Event("al", "watchdog", {}))
-    assert taken.state.slots[model.slots["al.state"]] == row(model, "al_state", reached)
+    assert taken.state.slots[model.slots["al.state"]] == model.row("al_state", reached)
 
 
 # --- mailbox --------------------------------------------------------------------------------------
@@ -317,7 +316,7 @@ def test_objects_that_are_not_there(desk: Desk, index: int) -> None:
 def test_what_may_be_there_and_what_may_not(model: Model, index: int, rules: set[str]) -> None:
     """An object of the manual of CANopen may exist, a string may not; ANOM-053 is in between."""
     state = VirtualSubDevice(model.protocol).state
-    state = state.having(model.slots["al.state"], row(model, "al_state", "PREOP"))
+    state = state.having(model.slots["al.state"], model.row("al_state", "PREOP"))
     asked: dict[str, Value] = {"index": index, "subindex": 0, "complete": False}
     fired = {str(taken.rules[0]) for taken in step(model, state, Event("sdo", "read", asked))}
     kinds = {re.sub(r"_(refused|expedited|normal)$", "", name.partition(".")[2]) for name in fired}
@@ -363,7 +362,7 @@ def test_the_fixed_address_is_zero_or_that_of_the_esc(model: Model) -> None:
     register = model.slots["register station_address"]
     for name, value in ways.items():
         state = VirtualSubDevice(model.protocol).state.having(register, 0x1001)
-        state = state.having(model.slots["al.state"], row(model, "al_state", "PREOP"))
+        state = state.having(model.slots["al.state"], model.row("al_state", "PREOP"))
         state = state.having(model.slots["choice fixed_address"], name)
         asked: dict[str, Value] = {"index": 0x1100, "subindex": 0, "complete": False}
         outputs = [o for t in step(model, state, Event("sdo", "read", asked)) for o in t.outputs]

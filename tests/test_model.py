@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from ecatspec.generators.bringup import mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import mailbox_settings, request, way_to
 from ecatspec.generators.case import WriteRegister, WriteRegisters
 from ecatspec.generators.play import play
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
@@ -337,7 +337,7 @@ def complete(name: str, *arguments: Value, watched: Model | None = None) -> Valu
     if watched is not None:
         model = watched
     slots = list(model.initial.slots)
-    slots[model.slots["al.state"]] = row(model, "al_state", "PREOP")
+    slots[model.slots["al.state"]] = model.row("al_state", "PREOP")
     objects = state.known() if watched is None else {}
     return model.dictionary.functions[name](Environment(tuple(slots), objects, {}), arguments)
 
@@ -391,7 +391,7 @@ def test_what_cannot_be_read_is_masked() -> None:
 def test_a_complete_download_skips_what_cannot_be_written() -> None:
     device = VirtualSubDevice(REFERENCE)
     slots = list(device.state.slots)
-    slots[device.model.slots["al.state"]] = row(device.model, "al_state", "PREOP")
+    slots[device.model.slots["al.state"]] = device.model.row("al_state", "PREOP")
     data = b"\7\0" + b"\x11" + b"\x22\x22" + b"\x33" * 4 + b"\x44\x44" + b"ab\0\0\0\0\0\0"
     environment = Environment(tuple(slots), {}, {})
     split = dict(device.model.dictionary.split(environment, 0x2010, 0, data))
@@ -767,7 +767,7 @@ def test_each_side_has_its_own_mailbox() -> None:
 
 def test_al_control_is_locked_until_the_device_reads_it() -> None:
     esc = Esc(MODEL)
-    address, data = register_bytes(MODEL, request(row(MODEL, "al_state", "PREOP")))
+    address, data = register_bytes(MODEL, request(MODEL.row("al_state", "PREOP")))
     assert esc.main_write(address, data) == 1
     assert esc.al_control_changed
     assert esc.main_write(address, b"\1\0") == 0

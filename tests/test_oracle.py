@@ -13,7 +13,7 @@ from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, row, way_to
+from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, way_to
 from ecatspec.generators.case import (
     Case,
     Probe,
@@ -148,7 +148,7 @@ def akd() -> VirtualSubDevice:
 
 MODEL = Model(STANDARD)
 DRIVE = Model(AKD)
-VALUE = {name: row(MODEL, "al_state", name) for name in (*WAY_UP, "BOOT")}
+VALUE = {name: MODEL.row("al_state", name) for name in (*WAY_UP, "BOOT")}
 PREOP = way_to(MODEL, "PREOP")
 DRIVE_PREOP = way_to(DRIVE, "PREOP")
 SKIP = request(VALUE["OP"])
@@ -395,7 +395,7 @@ def test_a_request_must_be_taken_within_the_request_time(seconds: float, *, stuc
 
 def test_a_wrong_power_on_value_cites_its_clause() -> None:
     def awake(register: str, raw: int) -> int:
-        return row(Model(AKD), "al_state", "OP") if register == "al_status" else raw
+        return Model(AKD).row("al_state", "OP") if register == "al_status" else raw
 
     session = Session(Faulty(VirtualSubDevice(AKD), shown=awake), Model(AKD), Oracle(Model(AKD)))
     with pytest.raises(Deviation) as found:
@@ -806,7 +806,7 @@ class Busy(VirtualSubDevice):
             counter = message.fields["counter"]
             if counter != self.state.slots[slot] or not counter:
                 self.state = self.state.having(slot, counter)
-                detail = row(self.model, "mailbox_error_detail", "service_in_work")
+                detail = self.model.row("mailbox_error_detail", "service_in_work")
                 fields = self._defaults("mailbox") | {"detail": detail}
                 self._queue.insert(0, self.model.codec.encode("mailbox_error", fields))
                 self._due = (self._now, *self._due)
@@ -819,7 +819,7 @@ class Busy(VirtualSubDevice):
 
     def _storm(self, count: int) -> None:
         fields: dict[str, Value] = {
-            "error_code": row(self.model, "emergency_code", "generic_error"),
+            "error_code": self.model.row("emergency_code", "generic_error"),
             "error_register": 1,
             "manufacturer": bytes(5),
         }
@@ -941,7 +941,7 @@ def test_nothing_is_demanded_of_a_mailbox_that_is_off(
     device.silent = False
     # in INIT and back the mailbox starts anew, and all of it is demanded again
     for state in ("INIT", "PREOP"):
-        session.apply(request(row(model, "al_state", state)))
+        session.apply(request(model.row("al_state", state)))
     session.apply(ASK)
     device.silent = True
     with pytest.raises(Deviation, match="no reply"):

@@ -12,7 +12,7 @@ import pytest
 
 pytest.importorskip("z3")
 
-from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, row
+from ecatspec.generators.bringup import has_process_data, mailbox_settings, request
 from ecatspec.generators.case import SetUpProcessData, WriteOutputs
 from ecatspec.generators.play import play
 from ecatspec.model.chains import Chains
@@ -116,7 +116,7 @@ def reachable(device: str) -> tuple[State, ...]:
     random = Random(7)
     dut = VirtualSubDevice(protocol)
     found = {dut.state: None}
-    ways = [request(row(model, "al_state", name)) for name in ("INIT", "PREOP", "SAFEOP", "OP")]
+    ways = [request(model.row("al_state", name)) for name in ("INIT", "PREOP", "SAFEOP", "OP")]
     for _ in range(4):
         dut.reset()
         play(model, dut, mailbox_settings(model))
@@ -339,7 +339,7 @@ def commands(device: str) -> tuple[Meaning, Model, list[State]]:
         Meaning(load_device(device), abstract=False),
         Model(load_device(device), assuming=True),
     )
-    base = model.initial.having(model.slots["al.state"], row(model, "al_state", "OP"))
+    base = model.initial.having(model.slots["al.state"], model.row("al_state", "OP"))
     option = model.protocol.words["quick_stop_code"].key
     assert option is not None
     base = base.keeping(option, b"\2\0")
@@ -438,13 +438,13 @@ def test_unknown_to_the_interpreter_is_open_to_the_solver() -> None:
     assert solver.ask((given, taken)) is Answer.YES
     assert solver.ask((given, refused)) is Answer.YES
     assert solver.ask((taken, refused)) is Answer.NO
-    state = model.initial.having(model.slots["al.state"], row(model, "al_state", "PREOP"))
+    state = model.initial.having(model.slots["al.state"], model.row("al_state", "PREOP"))
     state = state.having(model.slots["choice mailbox_support"], "present")
     for name, value in usual_mailbox(model).items():
         state = state.having(model.slots[name], value)
     fields: dict[str, Value] = {
         "channel": 1, "reserved": 0, "address": 0, "counter": 0, "length": 8, "priority": 0,
-        "type": row(model, "mailbox_type", "coe"), "payload": bytes(8),
+        "type": model.row("mailbox_type", "coe"), "payload": bytes(8),
     }  # fmt: skip
     steps = step(model, state, Event("mailbox", "mail", fields, ("mailbox",)))
     assert {done.rules[0].name for done in steps} == {"mail_taken", "mail_refused"}

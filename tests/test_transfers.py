@@ -19,7 +19,7 @@ from hypothesis.stateful import (
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.session import Deviation, Session
-from ecatspec.generators.bringup import request, row, way_to
+from ecatspec.generators.bringup import request, way_to
 from ecatspec.generators.case import NO_LIMITS, Probe, Repeat, SendFrame, SendSegments
 from ecatspec.generators.client import Ask, Begin, Move, Segment, played
 from ecatspec.generators.strategies import begins, commands, downloads, moves, uploads
@@ -181,7 +181,7 @@ class Transfers(RuleBasedStateMachine):
     @rule()
     def restart(self) -> None:
         model = self.session.model
-        self.move(*(request(row(model, "al_state", name)) for name in ("INIT", "PREOP")))
+        self.move(*(request(model.row("al_state", name)) for name in ("INIT", "PREOP")))
 
     @rule()
     def probe(self) -> None:

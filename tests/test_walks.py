@@ -21,7 +21,7 @@ from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.shrink import shortest
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators import dice
-from ecatspec.generators.bringup import WAY_UP, row
+from ecatspec.generators.bringup import WAY_UP
 from ecatspec.generators.case import (
     NO_LIMITS,
     Case,
@@ -134,7 +134,7 @@ def test_walks_take_mailboxes_away_in_every_state_and_write_all_objects() -> Non
     model = model_of("reference-drive")
     asked = set()
     for seed in range(60):
-        last = row(model, "al_state", "INIT")
+        last = model.row("al_state", "INIT")
         for stimulus in walked("reference-drive", seed).stimuli:
             match stimulus:
                 case WriteRegister("al_control", fields):
@@ -143,7 +143,7 @@ def test_walks_take_mailboxes_away_in_every_state_and_write_all_objects() -> Non
                     asked.add(last)
                 case _:
                     pass
-    assert {row(model, "al_state", name) for name in WAY_UP} <= asked
+    assert {model.row("al_state", name) for name in WAY_UP} <= asked
     written = ground(model, NO_LIMITS).written
     assert any(model.image.configures(entry.index) for entry in written)
 
@@ -159,7 +159,7 @@ def test_walks_raise_only_what_can_be_raised() -> None:
 def test_walks_do_without_what_does_not_get_through() -> None:
     limits = Limits(0, 7, frozenset(EVERY_FEATURE))
     model = model_of("reference-drive")
-    preop, init = (row(model, "al_state", name) for name in ("PREOP", "INIT"))
+    preop, init = (model.row("al_state", name) for name in ("PREOP", "INIT"))
     cases = family_cover(model, NO_LIMITS)
     malformed = {c.stimuli[-2] for c in cases if c.feature == "malformed"}
     for seed in range(40):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import has_process_data, request, row, way_to
+from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import Happen, SendFrame, StopOutputs, WriteOutputs
 from ecatspec.generators.drive_cover import CONTROL, STATUS, commands
 from ecatspec.generators.mailbox_cover import probe_entry
@@ -300,7 +300,7 @@ def al_drive_machine(
     whole = _drive_alphabet(model, events)
     alphabet = {name: own for name, own in whole.items() if name in _TOGETHER}
     for name in ("SAFEOP", "OP"):
-        alphabet[f"request_{name}"] = (request(row(model, "al_state", name)),)
+        alphabet[f"request_{name}"] = (request(model.row("al_state", name)),)
     slots = ("al.state", "al.error", "al.code", "process_data.fed", *_DRIVE[1:])
     prelude = way_to(model, "OP")
     looks = (drive_status, al_status)

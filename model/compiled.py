@@ -205,6 +205,14 @@ class Model:
         }
         self.worded = frozenset(m for pairs in self.word_inputs.values() for m, _ in pairs)
         """The machines that words move."""
+        self.displayed = frozenset(
+            path.removesuffix(".state")
+            for register in protocol.registers.values()
+            for field in register.fields
+            for path in (() if field.shows is None else names_in(field.shows.value))
+            if path.endswith(".state")
+        )
+        """The machines whose state a register shows."""
         self.words: dict[ObjectKey, Word] = {
             word.key: word
             for word in protocol.words.values()

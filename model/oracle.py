@@ -55,7 +55,7 @@ from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
@@ -116,29 +116,27 @@ class Oracle:
         base = self.model.initial
         kept = next(iter(self.candidates)).state if keep and self.candidates else None
         for name, slot in self.model.slots.items():
-            if name.startswith("choice "):
-                if self.candidates:
-                    base = base.having(slot, self._agreed(slot))
+            if name.startswith("choice ") and self.candidates:
+                base = base.having(slot, self._agreed(slot))
             elif name.startswith(("register ", "word ")):
                 usual = usual_mailbox(self.model).get(name, UNKNOWN)
                 base = base.having(slot, kept.slots[slot] if kept else usual)
-            elif not name.endswith(".state"):
+        self.candidates = {Candidate(state, loose=Loose.ALL): () for state in self._anything(base)}
+        self._suspicion = None
+
+    def _anything(self, base: State) -> list[State]:
+        """Give the states of a device of which only choices, registers and words are known."""
+        for name, slot in self.model.slots.items():
+            if not name.startswith(("choice ", "register ", "word ")):
                 base = base.having(slot, UNKNOWN)
         states = [base]
         for machine in self.model.protocol.machines:
             slot = self.model.slots[f"{machine}.state"]
             if machine in self.model.worded:
-                # it takes a look at its words to know
-                states = [state.having(slot, UNKNOWN) for state in states]
-                continue
+                continue  # it takes a look at its words to know
             values = self.model.state_names(machine)
             states = [state.having(slot, value) for state in states for value in values]
-        self.candidates = {
-            Candidate(state, loose=Loose.ALL): ()
-            for state in states
-            if not self.model.broken(state)
-        }
-        self._suspicion = None
+        return [state for state in states if not self.model.broken(state)]
 
     # --- one exchange -----------------------------------------------------------------------------
 
@@ -410,6 +408,8 @@ class Oracle:
         """Give the input with its deadline; None when it changes nothing and has no deadline."""
         steps = step(self.model, state, event)
         within = max(taken.within for taken in steps)
+        if self._is_open(event, steps):
+            within = max(within, self.model.parameter("settle_time"))
         idle = all(s.state == state and not s.outputs and not s.alarms for s in steps)
         return None if idle and not within else Pending(event, time + within, within, time)
 
@@ -911,7 +911,16 @@ class Oracle:
             )
             self.unspecified = self.unspecified or taken.unspecified
             served.append((after, history + taken.rules))
+            if self._is_open(event, (taken,)):
+                served += [
+                    (Candidate(state, rest, loose=Loose.ALL), history + taken.rules)
+                    for state in self._anything(taken.state)
+                ]
         return served
+
+    def _is_open(self, event: Event, steps: Iterable[Step]) -> bool:
+        """Tell whether the texts leave open what the AL does: with it goes all that rests on it."""
+        return event.machine in self.model.displayed and any(s.unspecified for s in steps)
 
     def _alive(self, state: State) -> bool:
         return definitely(self.model, state, "mailbox_alive") is not False

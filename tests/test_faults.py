@@ -7,11 +7,28 @@ from collections import Counter
 import pytest
 from grounds import GROUNDS, REFERENCE, Ground, apart, ground_of, suite
 
+from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import BLAMING
-from ecatspec.model.subdevice import Quirk
-from ecatspec.spec.language.load import load_device, load_faults
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.compiled import Model
+from ecatspec.model.state import RuleName
+from ecatspec.model.subdevice import Quirk, VirtualSubDevice
+from ecatspec.spec.language.ir import Fault
+from ecatspec.spec.language.load import load_device, load_faults, plant
+from ecatspec.spec.language.parse import parse_text
 
 FAULTS = load_faults()
+LEFT_OPEN = """
+faults left_open "what a device may do where the texts leave it open: no mistake"
+
+fault init_in_an_error "SyncManagers that were taken away count in an error too" [AL-20]
+  replace rule al.mailbox_taken_away [AL-20]
+    when   mailbox_wrong and mailbox_support == present
+  replace rule al.process_data_taken_away [PD-14]
+    when   outputs_wrong or inputs_wrong
+"""
 
 
 def test_there_are_faults_of_every_service() -> None:
@@ -48,6 +65,17 @@ def test_the_sound_device_is_not_blamed(ground: Ground) -> None:
     made = suite(ground)
     assert made.cases
     assert not made.blamed
+
+
+def test_what_the_texts_leave_open_is_no_mistake() -> None:
+    (other,) = (d for d in parse_text(LEFT_OPEN, "open").declarations if isinstance(d, Fault))
+    sound = load_device("reference-drive")
+    protocol = plant(sound, other)
+    adapter = VirtualAdapter(VirtualSubDevice(protocol), described(protocol))
+    runner = Runner(Model(sound), adapter, adapter.describe())
+    cases = [c for c in all_cases(runner.model, NO_LIMITS, "default") if c.layer == "al"]
+    assert sum(runner.judge(case).outcome in BLAMING for case in cases) == 0
+    assert RuleName("al", "mailbox_moved") in runner.rules
 
 
 @pytest.mark.parametrize(

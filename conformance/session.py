@@ -268,6 +268,10 @@ class Session:
 
     def _settle(self, *, unread: bool = False) -> None:
         wait = _FIRST_WAIT
+        # where anything may happen there is nothing to see before it has
+        left = self.oracle.open_until(self.time) - self.time
+        if left > 0:
+            self._wait(left + 1)
         while True:
             self._look(unread=unread)
             if self.oracle.settled(self.time, unread=unread):

@@ -163,8 +163,11 @@ class Model:
         """Compile every rule, view and layout of the protocol."""
         self.protocol = protocol
         self.assuming = assuming
-        self.answers: defaultdict[object, dict[tuple[object, ...], Any]] = defaultdict(dict)
-        """What functions of the model gave (`once`)."""
+        self.answers: tuple[defaultdict[object, dict[tuple[object, ...], Any]], ...] = (
+            defaultdict(dict),
+            defaultdict(dict),
+        )
+        """What functions of the model gave (`once`), with the dictionary open and closed."""
         self._parameters: dict[tuple[str, str | None], int] = {}
         self.codec = Codec(protocol)
         self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
-_MOST = 4096
+_MOST = 16384
 """So many answers of one function are kept; then it begins anew."""
 
 
@@ -26,9 +26,9 @@ def once(
 
     @wraps(function)
     def remember(model: Model, /, *arguments: _P.args, **named: _P.kwargs) -> _R:
-        answers = model.answers[function]
         # somebody may close the dictionary at any time
-        key = model.dictionary.closed, *arguments, *named.items()
+        answers = model.answers[model.dictionary.closed][function]
+        key = (*arguments, *named.items()) if named else arguments
         if key in answers:
             answer: _R = answers[key]
             return answer

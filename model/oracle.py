@@ -45,17 +45,17 @@ from ecatspec.model.shown import (
     seen,
     shown_fields,
     shown_register,
-    usual_mailbox,
     words_in,
 )
 from ecatspec.model.state import Event, Output, RuleName, State
+from ecatspec.model.unknowns import after_open, any_states, is_open
 from ecatspec.model.values import UNKNOWN, Value, is_any
 from ecatspec.model.words import fields_words, message_words, reason_words, register_words
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
@@ -113,30 +113,10 @@ class Oracle:
 
     def unknown(self, *, keep: bool = False) -> None:
         """Go on with a device of which only its choices are known; `keep` its registers too."""
-        base = self.model.initial
         kept = next(iter(self.candidates)).state if keep and self.candidates else None
-        for name, slot in self.model.slots.items():
-            if name.startswith("choice ") and self.candidates:
-                base = base.having(slot, self._agreed(slot))
-            elif name.startswith(("register ", "word ")):
-                usual = usual_mailbox(self.model).get(name, UNKNOWN)
-                base = base.having(slot, kept.slots[slot] if kept else usual)
-        self.candidates = {Candidate(state, loose=Loose.ALL): () for state in self._anything(base)}
+        states = any_states(self.model, self.choices() if self.candidates else {}, kept)
+        self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
         self._suspicion = None
-
-    def _anything(self, base: State) -> list[State]:
-        """Give the states of a device of which only choices, registers and words are known."""
-        for name, slot in self.model.slots.items():
-            if not name.startswith(("choice ", "register ", "word ")):
-                base = base.having(slot, UNKNOWN)
-        states = [base]
-        for machine in self.model.protocol.machines:
-            slot = self.model.slots[f"{machine}.state"]
-            if machine in self.model.worded:
-                continue  # it takes a look at its words to know
-            values = self.model.state_names(machine)
-            states = [state.having(slot, value) for state in states for value in values]
-        return [state for state in states if not self.model.broken(state)]
 
     # --- one exchange -----------------------------------------------------------------------------
 
@@ -178,6 +158,19 @@ class Oracle:
         deadlines = [p.deadline for c in self.candidates for p in self._due(c, time)]
         deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
         return max(deadlines, default=None)
+
+    def open_until(self, time: int) -> int:
+        """Give the time by which the AL has done what the texts leave open; `time`: nothing is."""
+        return max(
+            (
+                pending.deadline
+                for candidate in self.candidates
+                for pending in candidate.inbox
+                for taken in step(self.model, candidate.state, pending.event)
+                if is_open(self.model, taken)
+            ),
+            default=time,
+        )
 
     def _due(self, candidate: Candidate, time: int) -> list[Pending]:
         """Give the inputs that may be served now, without what would make no difference."""
@@ -408,7 +401,7 @@ class Oracle:
         """Give the input with its deadline; None when it changes nothing and has no deadline."""
         steps = step(self.model, state, event)
         within = max(taken.within for taken in steps)
-        if self._is_open(event, steps):
+        if any(is_open(self.model, taken) for taken in steps):
             within = max(within, self.model.parameter("settle_time"))
         idle = all(s.state == state and not s.outputs and not s.alarms for s in steps)
         return None if idle and not within else Pending(event, time + within, within, time)
@@ -910,17 +903,13 @@ class Oracle:
                 taken.state, inbox, outbox, loose, candidate.ready, last, candidate.befell
             )
             self.unspecified = self.unspecified or taken.unspecified
-            served.append((after, history + taken.rules))
-            if self._is_open(event, (taken,)):
-                served += [
-                    (Candidate(state, rest, loose=Loose.ALL), history + taken.rules)
-                    for state in self._anything(taken.state)
+            ways = [after]
+            if is_open(self.model, taken):
+                ways = [
+                    Candidate(s, rest, loose=Loose.ALL) for s in after_open(self.model, taken.state)
                 ]
+            served += [(way, history + taken.rules) for way in ways]
         return served
-
-    def _is_open(self, event: Event, steps: Iterable[Step]) -> bool:
-        """Tell whether the texts leave open what the AL does: with it goes all that rests on it."""
-        return event.machine in self.model.displayed and any(s.unspecified for s in steps)
 
     def _alive(self, state: State) -> bool:
         return definitely(self.model, state, "mailbox_alive") is not False

@@ -717,7 +717,8 @@ class Whimsical(VirtualSubDevice):
     def _run(self, event: Event, message: Message | None = None) -> None:
         assert isinstance(self.model, Whims)
         self.model.truths.clear()
-        self.model.answers.clear()
+        for answers in self.model.answers:
+            answers.clear()
         super()._run(event, message)
 
     def _send(self, outputs: tuple[Output, ...]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import WAY_UP, way_to
+from ecatspec.generators.bringup import WAY_UP, request, way_to
 from ecatspec.generators.configuration_cover import configuration_cover
 from ecatspec.generators.drive_cover import CONTROL, commands
 from ecatspec.generators.family_cover import family_cover
@@ -49,6 +49,7 @@ def ground(model: Model, limits: Limits) -> Ground:
     }
     drives = CONTROL in {word.name for word in model.words.values()}
     mapped = [w for key, w in model.words.items() if model.dictionary.entries[key].mappable]
+    to_init = request(model.row("al_state", WAY_UP[0]))
     cases = [c for c in family_cover(model, limits) if c.feature not in limits.without]
     return Ground(
         states={r.value: r.name for r in protocol.tables["al_state"].rows},
@@ -61,7 +62,10 @@ def ground(model: Model, limits: Limits) -> Ground:
         controls=tuple(commands(model).values()) if drives else (),
         words=tuple((word.name, 8 * word.size) for word in mapped),
         configurations=tuple(
-            case.stimuli[case.prelude : -1] for case in configuration_cover(model, limits)
+            case.stimuli[case.prelude : -1]
+            for case in configuration_cover(model, limits)
+            # in a walk a transfer may be open
+            if "mailbox_restart" not in limits.without or to_init not in case.stimuli
         ),
         families=tuple(case.stimuli[case.prelude : -1] for case in cases),
     )

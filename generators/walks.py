@@ -206,6 +206,8 @@ class _Walker:
         return (request(value, acknowledge=self._dice.one_in(2)),)
 
     def _acknowledge(self) -> _Stimuli:
+        if not self._restarts and self._state == WAY_UP[0]:
+            return ()
         return (request(self._value(self._state), acknowledge=True),)
 
     def _set_up_mailbox(self) -> _Stimuli:

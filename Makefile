@@ -10,7 +10,7 @@ SOURCES := pyproject.toml README.md LICENSE NOTICE $(shell find spec model gener
   -name __pycache__ -prune -o \
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name py.typed \) -print)
 
-.PHONY: help demo test lint format docs bench clean
+.PHONY: help demo test lint format docs mutants bench clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -44,6 +44,9 @@ format: $(VENV)/developed  ## format the code and repair what can be repaired
 
 docs: $(VENV)/installed  ## write the chapters and tables under docs/ anew (some minutes)
 	$(BIN)/python docs/generate.py
+
+mutants: $(VENV)/installed  ## measure what the suites kill, and write docs/mutants.md (hours)
+	$(BIN)/python docs/mutants.py
 
 bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/run.py

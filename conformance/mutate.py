@@ -12,20 +12,20 @@ import signal
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeAlias, TypeVar
 
 from ecatspec.conformance.adapter import DeviceFault, DeviceHang
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import Sheet, UserError, load
+from ecatspec.conformance.devices import UserError, load
 from ecatspec.conformance.guard import Guarded
+from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
 from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.verdict import BLAMING
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
 from ecatspec.generators.complete.machines import al_drive_machine, al_machine, drive_machine
 from ecatspec.generators.finite_cover import complete_suites
-from ecatspec.generators.mutants import DEFINE, SHOWN, Operator, definitions_in, mutants
+from ecatspec.generators.mutants import DEFINE, SHOWN, definitions_in, mutants
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.built import as_built
 from ecatspec.model.compiled import Model, rows_of
@@ -36,15 +36,14 @@ from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from types import FrameType
 
     from ecatspec.conformance.adapter import Description
-    from ecatspec.conformance.devices import Cell
     from ecatspec.conformance.runner import Progress
     from ecatspec.generators.case import Case
-    from ecatspec.generators.complete.faults import Kills
     from ecatspec.generators.complete.machines import Abstraction
+    from ecatspec.generators.equivalents import Equivalents
     from ecatspec.generators.finite_cover import Complete
     from ecatspec.generators.mutants import Mutant
     from ecatspec.model.state import Event, State, Step
@@ -62,140 +61,6 @@ _EXPLORED: Final = frozenset({"al", "process_data", "ds402"})
 """The machines that the finite machines show as a whole."""
 _FEW: Final = 20
 """After so many cases without a difference it is looked whether there can be one."""
-
-
-class Fate(StrEnum):
-    """What became of a mutant; the words are those of the report."""
-
-    KILLED = "killed"
-    EQUIVALENT = "the same finite machines"
-    TOLERATED = "answers otherwise, as the texts allow"
-    UNNOTICED = "answers the same in every case"
-
-
-@dataclass(frozen=True, slots=True)
-class Fated:
-    """A mutant and what became of it; the case that showed it and the clauses cited there."""
-
-    mutant: Mutant
-    fate: Fate
-    case: str = ""
-    clauses: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class TableKills:
-    """The single faults of a finite machine, and how many of them its complete suite kills."""
-
-    name: str
-    states: int
-    inputs: int
-    guarantee: str
-    kills: Kills
-
-
-@dataclass(frozen=True, slots=True)
-class Analysis:
-    """The mutants of the texts of a device and what became of them, in the order of the texts."""
-
-    device: str
-    depth: str
-    cases: int
-    tables: tuple[TableKills, ...]
-    fated: tuple[Fated, ...]
-
-    def count(self, fate: Fate, operator: Operator | None = None) -> int:
-        """Count the mutants of one fate, of all operators or of one."""
-        return sum(
-            each.fate is fate and operator in {None, each.mutant.operator} for each in self.fated
-        )
-
-    def score(self, operator: Operator | None = None) -> float:
-        """Give the share of killed mutants of those that show something that the texts forbid.
-
-        What answers as the device does in every case counts against it, unless the finite machines
-        are the same.
-        """
-        killed = self.count(Fate.KILLED, operator)
-        lost = self.count(Fate.UNNOTICED, operator)
-        return killed / (killed + lost) if killed + lost else 1.0
-
-    def sheets(self) -> Iterator[Sheet]:
-        """Yield the tables of the report."""
-        yield Sheet(
-            "tables",
-            "single faults of the finite machines",
-            ("machine", "states", "inputs", "suite", "faults", "equivalent", "killed", "score"),
-            tuple(
-                (
-                    table.name,
-                    table.states,
-                    table.inputs,
-                    table.guarantee,
-                    table.kills.faults,
-                    table.kills.equivalent,
-                    table.kills.killed,
-                    _percent(table.kills.score),
-                )
-                for table in self.tables
-            ),
-        )
-        rows = [(operator.value, self._row(operator)) for operator in Operator]
-        rows.append(("all", self._row(None)))
-        yield Sheet(
-            "mutants",
-            f"mutants of the texts, {self.cases} cases of depth {self.depth}",
-            ("mistake", "mutants", *(fate.value for fate in Fate), "score"),
-            tuple((name, *row) for name, row in rows),
-        )
-
-    def _row(self, operator: Operator | None) -> tuple[Cell, ...]:
-        counts = [self.count(fate, operator) for fate in Fate]
-        return (sum(counts), *counts, _percent(self.score(operator)))
-
-    def survivors(self) -> Iterator[str]:
-        """Yield a line for every mutant that no case noticed, and nothing proved equivalent."""
-        for each in self.fated:
-            if each.fate is Fate.UNNOTICED:
-                yield f"{each.mutant.at}: {each.mutant}"
-
-    def to_json(self) -> dict[str, object]:
-        """Give the analysis as data."""
-        return {
-            "device": self.device,
-            "depth": self.depth,
-            "cases": self.cases,
-            "score": round(self.score(), 4),
-            "tables": [
-                {
-                    "machine": table.name,
-                    "states": table.states,
-                    "inputs": table.inputs,
-                    "guarantee": table.guarantee,
-                    "faults": table.kills.faults,
-                    "equivalent": table.kills.equivalent,
-                    "killed": table.kills.killed,
-                }
-                for table in self.tables
-            ],
-            "mutants": [
-                {
-                    "place": each.mutant.place,
-                    "mistake": each.mutant.operator.name.lower(),
-                    "before": each.mutant.before,
-                    "after": each.mutant.after,
-                    "at": str(each.mutant.at),
-                    "fate": each.fate.name.lower(),
-                    "case": each.case,
-                    "clauses": list(each.clauses),
-                }
-                for each in self.fated
-            ],
-        }
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
 
 
 # --- a device that is listened to -----------------------------------------------------------------
@@ -298,8 +163,10 @@ class _Shown:
 class _Ground:
     """The texts of a device, the suite, and what the sound device shows in each case of it."""
 
-    def __init__(self, device: str, depth: str, progress: Progress | None) -> None:
-        protocol = load(device)
+    def __init__(
+        self, device: str, depth: str, progress: Progress | None, mailbox: str = ""
+    ) -> None:
+        protocol = load(device, mailbox)
         self.model = Model(protocol)
         self.built = as_built(protocol)
         self.heard = _Heard(self.built)
@@ -331,6 +198,7 @@ class _Ground:
             log = tuple(self.heard.log)
             self.shown.append(_Shown(case, log, frozenset(steps), runner.choices))
         self.configured = runner.configured
+        self.equivalents = _equivalents(self.built, local)
         self.groups = _groups(self.built)
         self.built_rules = {
             f"{machine.name}.{rule.name}": rule
@@ -349,6 +217,8 @@ class _Ground:
                 heard = _Heard(mutant.protocol)
         except (Exception, _OverdueError):  # noqa: BLE001  it does not even come up
             return Fated(mutant, Fate.KILLED, "power-on")
+        if self.equivalents is not None and self.equivalents.proved(mutant):
+            return Fated(mutant, Fate.EQUIVALENT)
         runner = Runner(self.model, heard, heard.describe())
         if not heard.differs(self.asked):
             runner.configured = self.configured
@@ -404,8 +274,9 @@ class _Ground:
             if mutant.follows and own in fired:
                 return True
         try:
-            return step(device.model, taken.state, taken.event)[0] != taken.step
-        except Exception:  # noqa: BLE001  a mutant may fail in any way
+            with _overdue(_PATIENCE):
+                return step(device.model, taken.state, taken.event)[0] != taken.step
+        except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
             return True
 
     def _equal(self, mutant: Mutant, device: VirtualSubDevice) -> bool:
@@ -442,6 +313,17 @@ class _Ground:
             return True
         sources = self.built_rules[place].sources
         return not any((rule.machine, state) in self.explored_states for state in sources)
+
+
+def _equivalents(built: Protocol, raisable: Collection[str]) -> Equivalents | None:
+    """Give what proves mutants to be no mistakes; None where the solver is not installed."""
+    try:
+        from ecatspec.generators.equivalents import Equivalents
+    except ModuleNotFoundError as error:
+        if error.name != "z3":
+            raise
+        return None
+    return Equivalents(built, raisable)
 
 
 def _table(found: Complete) -> TableKills:
@@ -513,18 +395,20 @@ def analyse(
     *,
     own: bool = False,
     depth: str = "default",
+    mailbox: str = "",
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Analysis:
     """Find out what becomes of the mutants of a device's texts.
 
     `own`: only those of rules and definitions that the text of the device brings itself.
+    `mailbox` gives the areas another length: in a small one transfers take several messages.
 
     Raises:
         UserError: There is no such device, or it is blamed as it is.
 
     """
-    ground = _Ground(device, depth, progress)
+    ground = _Ground(device, depth, progress, mailbox)
     standard = set(_files(load_standard())) if own else set()
     every = [mutant for mutant in mutants(ground.built) if mutant.at.file not in standard]
     fated: dict[int, Fated] = {}

@@ -68,7 +68,7 @@ def image(entries: list[ObjectEntry], first: int) -> bytes:
     return data
 
 
-def _out_of_range(entries: list[ObjectEntry], first: int) -> bytes | None:
+def out_of_range(entries: list[ObjectEntry], first: int) -> bytes | None:
     """Give an image in which one entry has a value that is too high, where that can be."""
     data, found = b"", False
     for entry in entries:
@@ -107,7 +107,7 @@ def _downloads(
         }
         if len(entries) == 1:
             shapes = {"whole": shapes["whole"][:_FEW]}
-        odd = _out_of_range(entries, first)
+        odd = out_of_range(entries, first)
         if odd is not None:
             requests = normal_download(model, (index, first), odd, limits, complete=True)
             shapes["out_of_range"] = requests

@@ -5,11 +5,23 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, way_to
-from ecatspec.generators.case import Case, Probe, ReadConfiguration, SetUpProcessData, WriteOutputs
+from ecatspec.generators.case import (
+    Case,
+    Probe,
+    ReadConfiguration,
+    SetUpProcessData,
+    StopOutputs,
+    Wait,
+    WriteOutputs,
+    WriteRegister,
+)
+from ecatspec.generators.drive_cover import STATUS
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import encode_value, size_of
+from ecatspec.model.esc import PROCESS_DATA
 from ecatspec.model.process_image import INPUTS, OUTPUTS
-from ecatspec.spec.language.ir import Access
+from ecatspec.spec.language.ir import Access, Call, In, Literal, Name
+from ecatspec.spec.language.scope import nodes_in, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +29,9 @@ if TYPE_CHECKING:
     from ecatspec.generators.case import Limits, Stimulus
     from ecatspec.model.compiled import Model
     from ecatspec.model.values import ObjectKey
+
+
+_LONG = 5_000_000
 
 
 def configuration_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -47,6 +62,7 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
         yield _case(model, f"assign/{key}_{pdo:04X}", way)
     if not own:
         return
+    yield from _in_operation(model, name, own[0])
     clear, one = _set(model, index, 0, 0), _set(model, index, 0, 1)
     first = _set(model, index, 1, own[0])
     yield _case(model, f"cleared/{key}", (clear, _ask(index, 0), *_up(model)))
@@ -58,6 +74,10 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     strange = {"undeclared": _nowhere(model), "free": _free(model, name)}
     if other:
         strange["other_direction"] = other[0]
+    near = range(model.image.pdos[name][0] - 1, model.image.pdos[name][-1] + 2)
+    tried_before = {0, *own, *strange.values()}
+    fits = (n for n in _compared(model) if n in near and n not in tried_before)
+    strange |= {f"number_{number:X}": number for number in fits}
     for what, pdo in strange.items():
         tried = (clear, _set(model, index, 1, pdo), one, _ask(index, 0), _ask(index, 1))
         yield _case(model, f"{what}/{key}", tried)
@@ -71,6 +91,44 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     safeop = request(model.row("al_state", "SAFEOP"))
     late = (SetUpProcessData(), *_assign(model, index, own[-1]), safeop)
     yield _case(model, f"settings_before/{key}", late)
+
+
+def _in_operation(model: Model, name: str, pdo: int) -> Iterator[Case]:
+    """Yield what can happen to process data that the MainDevice assigned."""
+    index = model.image.assignments[name]
+    manager = PROCESS_DATA[(OUTPUTS, INPUTS).index(name)]
+    safeop = request(model.row("al_state", "SAFEOP"))
+    key = f"{index:04X}_{pdo:04X}"
+    assigned = _assign(model, index, pdo)
+    up = (*assigned, *_up(model))
+    off = WriteRegister(f"{manager}_activation", {"enabled": 0})
+    yield _case(model, f"disabled/{key}", (*up, off))
+    yield _case(model, f"disabled_in_SAFEOP/{key}", (*assigned, SetUpProcessData(), safeop, off))
+    wrong = SetUpProcessData(longer={manager: 1})
+    yield _case(model, f"misfit/{key}", (*assigned, wrong, safeop, *_look(model)))
+    yield _case(model, f"watchdog/{key}", (*up, StopOutputs(), Wait(_LONG), *_look(model)))
+
+
+def _look(model: Model) -> Iterator[Stimulus]:
+    """Yield an upload of the drive's status word, where there is one."""
+    word = model.protocol.words.get(STATUS)
+    if word is not None and word.key in model.dictionary.entries:
+        yield upload(*word.key)
+
+
+def _compared(model: Model) -> list[int]:
+    """Give the numbers on both sides of those that definitions compare a written value with."""
+    found: dict[int, None] = {}
+    written = Call("number", (Name("value"),))
+    for definition in model.protocol.definitions.values():
+        for node in nodes_in(definition.value):
+            if isinstance(node, In) and node.operand == written:
+                ends = (end for item in node.items for end in (parts_of(item) or (item,)))
+                for end in ends:
+                    if isinstance(end, Literal):
+                        number = int(end.value)
+                        found |= dict.fromkeys((number - 1, number, number + 1))
+    return [number for number in found if number >= 0]
 
 
 def _assign(model: Model, index: int, pdo: int) -> tuple[Stimulus, ...]:

@@ -41,6 +41,9 @@ _EVENTS = ("fault", "fault_gone", "mains_off", "mains_on")
 _CODES = {"shutdown_code": "shutdown", "disable_code": "switch_on", "halt_code": "halt"}
 """Words that hold option codes, and the command that each speaks of."""
 _ENABLED = "OPERATION_ENABLED"
+_FAULT = "FAULT"
+_UP = ("shutdown", "switch_on", "enable_operation")
+"""The commands that lead up."""
 
 
 def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -63,6 +66,8 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
         for kept in _keeping(model, device, way):
             for symbol in _words(model):
                 yield _case(model, (*way, kept, symbol))
+        for symbol in _others(model):
+            yield _case(model, (*way, symbol))
     yield from _leaving(model, shortest)
     yield from _options(model, shortest)
     yield from _modes(model)
@@ -97,6 +102,17 @@ def commands(model: Model) -> dict[str, int]:
 def _words(model: Model) -> Iterator[Symbol]:
     for name, value in commands(model).items():
         yield name, WriteOutputs({CONTROL: value})
+
+
+def _others(model: Model) -> Iterator[Symbol]:
+    """Yield what the bits of the commands make up beside these: several change at once."""
+    known = commands(model)
+    bits = 0
+    for name in _UP:
+        bits |= known[name]
+    for value in range(bits + 1):
+        if value & ~bits == 0 and value not in known.values():
+            yield f"word_{value:04X}", WriteOutputs({CONTROL: value})
 
 
 def _symbols(model: Model) -> Iterator[Symbol]:
@@ -164,13 +180,12 @@ def _by_sdo(model: Model) -> Iterator[Case]:
     if control is None or status is None:
         return
     known = commands(model)
-    up = ("shutdown", "switch_on", "enable_operation")
     for state in ("PREOP", "SAFEOP", "OP"):
-        for count in range(1, len(up) + 1):
+        for count in range(1, len(_UP) + 1):
             stimuli: list[Stimulus] = []
-            for name in up[:count]:
+            for name in _UP[:count]:
                 stimuli += [_set(model, control, known[name]), upload(*status)]
-            yield _in(model, f"by_sdo/{state}/{up[count - 1]}", tuple(stimuli), state)
+            yield _in(model, f"by_sdo/{state}/{_UP[count - 1]}", tuple(stimuli), state)
         yield _in(model, f"by_sdo/{state}/status", (upload(*status), Probe()), state)
 
 
@@ -194,6 +209,12 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
             yield _in(model, f"leaving_by_{target}/{name}", (*_of(way), down))
         down = request(model.row("al_state", "SAFEOP"))
         yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again))
+        up = way_to(model, "OP")[len(way_to(model, "PREOP")) :]
+        preop = request(model.row("al_state", "PREOP"))
+        yield _in(model, f"up_again/{name}", (*_of(way), preop, *up, *again))
+        if name == _FAULT:
+            gone = Happen("ds402.fault_gone")
+            yield _in(model, "up_again/fault_gone", (*_of(way), gone, preop, *up, *again))
         yield _in(model, f"watchdog/{name}", (*_of(way), StopOutputs(), Wait(_LONG)))
         yield _in(model, f"sync_lost/{name}", (*_of(way), Happen("al.sync_lost")))
     for option in options:
@@ -219,10 +240,13 @@ def _early(model: Model) -> Iterator[Case]:
     """Yield control words before OP, by process data and by SDO, and then OP."""
     control, status = (model.protocol.words[name].key for name in (CONTROL, STATUS))
     op = request(model.row("al_state", "OP"))
-    for name, value in commands(model).items():
-        yield _in(model, f"early/{name}", (WriteOutputs({CONTROL: value}), op), "SAFEOP")
+    known = commands(model)
+    after = tuple(WriteOutputs({CONTROL: known[name]}) for name in ("disable_voltage", *_UP))
+    for name, value in known.items():
+        early: tuple[Stimulus, ...] = (WriteOutputs({CONTROL: value}), op, *after)
+        yield _in(model, f"early/{name}", early, "SAFEOP")
     if control is not None and status is not None:
-        first = _set(model, control, commands(model)["shutdown"])
+        first = _set(model, control, known["shutdown"])
         up = way_to(model, "SAFEOP")[len(way_to(model, "PREOP")) :]
         yield _in(model, "early/by_sdo", (first, *up, upload(*status)), "PREOP")
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ecatspec.generators.bringup import case_in
 from ecatspec.generators.case import Case, Limits, SendFrame, Stimulus
 from ecatspec.generators.complete_cover import objects
-from ecatspec.generators.sdo_cover import missing_indexes, missing_subindexes
+from ecatspec.generators.sdo_cover import compared_indexes, missing_indexes, missing_subindexes
 from ecatspec.generators.transfers import entry_request, list_request, object_request, upload
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ def information_cover(model: Model, _: Limits) -> Iterator[Case]:
         yield _case(model, f"object/{index:04X}", "description of an object", stimuli)
         last = entry_request(index, entries[-1].subindex, _ALL_VALUES)
         yield _case(model, f"values/{index:04X}", "description with all values", [last])
-    for index in missing_indexes(model):
+    declared = objects(model).keys()
+    edges = [index for index in compared_indexes(model) if index not in declared]
+    for index in dict.fromkeys((*missing_indexes(model), *edges)):
         stimuli = [object_request(index), entry_request(index, 0)]
         yield _case(model, f"no_object/{index:04X}", "description of a missing object", stimuli)
     for index, subindexes in missing_subindexes(model).items():

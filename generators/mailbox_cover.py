@@ -29,6 +29,7 @@ def mailbox_cover(model: Model, _: Limits) -> Iterator[Case]:
         return
     ask = upload(known.index, known.subindex)
     yield from _counters(model, ask)
+    yield from _refusals(model, ask)
     yield from _states(model, ask)
     yield from _unread(model, ask)
     yield from _repeats(model, ask)
@@ -93,6 +94,35 @@ def _counters(model: Model, ask: SendFrame) -> Iterator[Case]:
         yield case_in(model, "mailbox/write_in_INIT", title, [look, down, other, up, look])
         title = "another request with the same counter is dropped"
         yield case_in(model, "mailbox/duplicate_write", title, [look, first, second, look])
+
+
+def _refusals(model: Model, ask: SendFrame) -> Iterator[Case]:
+    """Yield messages that are refused, with the counters around them, and in INIT."""
+    types = model.protocol.tables["mailbox_type"]
+    unknown = next(n for n in range(1 << types.width) if n not in {r.value for r in types.rows})
+    coe, least = model.row("mailbox_type", "coe"), model.parameter("smallest_coe_message")
+    odd = {
+        "too_short": SendFrame("mailbox", {"type": coe, "payload": bytes(least - 1)}),
+        "header_alone": SendFrame("mailbox", {"type": coe, "payload": bytes(least)}),
+        "unknown": SendFrame("mailbox", {"type": unknown, "payload": bytes(least)}),
+        "unknown_and_empty": SendFrame("mailbox", {"type": unknown, "payload": b""}),
+    }
+    down, up = (request(model.row("al_state", name)) for name in ("INIT", "PREOP"))
+    for name, message in odd.items():
+        twin = replace(message, same_counter=True)
+        runs: dict[str, tuple[str, list[Stimulus]]] = {
+            "twice": ("twice with one counter", [message, twin, ask]),
+            "before": (
+                "and a request with its counter",
+                [message, replace(ask, same_counter=True), ask],
+            ),
+            "behind": ("with the counter of the request before", [ask, twin, ask]),
+            "in_INIT": ("in INIT", [ask, down, message, twin, up, ask]),
+        }
+        for when, (words, stimuli) in runs.items():
+            title = f"a message that is refused ({name.replace('_', ' ')}) {words}"
+            case = f"mailbox/refused_{name}/{when}"
+            yield case_in(model, case, title, stimuli, feature="malformed")
 
 
 def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
@@ -162,6 +192,26 @@ def _repeats(model: Model, ask: SendFrame) -> Iterator[Case]:
                 ask,
                 again,
                 *(request(model.row("al_state", n)) for n in ("INIT", "PREOP")),
+                ask,
+                again,
+            ],
+        ),
+        "repeat_nothing_after_restart": (
+            "repeat before anything was sent since the mailbox started again",
+            [
+                ask,
+                *(request(model.row("al_state", n)) for n in ("INIT", "PREOP")),
+                again,
+                ask,
+            ],
+        ),
+        "repeat_in_INIT": (
+            "the repeat bit is toggled in INIT",
+            [
+                ask,
+                request(model.row("al_state", "INIT")),
+                again,
+                request(model.row("al_state", "PREOP")),
                 ask,
                 again,
             ],

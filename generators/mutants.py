@@ -6,6 +6,7 @@ what another rule should have: the order of checks is wrong then.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from functools import partial, reduce
@@ -33,7 +34,7 @@ from ecatspec.spec.language.pretty import pretty_expression
 from ecatspec.spec.language.scope import Scope, frame_fields, kind_of, nodes_in, parts_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from ecatspec.spec.language.ir import (
         Give,
@@ -71,7 +72,7 @@ class Mutant:
     """A specification with one mistake.
 
     `place` is `machine.rule`, or `define NAME`. `before` is what the text says and `after` what
-    the mutant makes of it.
+    the mutant makes of it; no two mutants of a specification are described alike.
     """
 
     place: str
@@ -109,7 +110,7 @@ def mutants(protocol: Protocol) -> Iterator[Mutant]:
     """Yield the mutants of a specification, in the order of its machines, then its definitions."""
     for machine in protocol.machines.values():
         for rule in machine.rules:
-            for operator, before, after, wrong in _of_rule(protocol, machine, rule):
+            for operator, before, after, wrong in _numbered(_of_rule(protocol, machine, rule)):
                 others = tuple(r for r in machine.rules if r is not rule)
                 changed = replace(machine, rules=(wrong, *others))
                 machines = protocol.machines | {machine.name: changed}
@@ -126,7 +127,8 @@ def mutants(protocol: Protocol) -> Iterator[Mutant]:
     for name, speakers in sorted(_speakers(protocol).items()):
         definition = protocol.definitions[name]
         number = kind_of(protocol, definition.value, Scope()) in _NUMBERS
-        for operator, before, after, value in _of_guard(definition.value, negated=not number):
+        changes = _of_guard(definition.value, negated=not number)
+        for operator, before, after, value in _numbered(changes):
             definitions = protocol.definitions | {name: replace(definition, value=value)}
             yield Mutant(
                 f"{DEFINE}{name}",
@@ -138,6 +140,20 @@ def mutants(protocol: Protocol) -> Iterator[Mutant]:
                 follows=False,
                 protocol=replace(protocol, definitions=definitions),
             )
+
+
+def _numbered(
+    changes: Iterable[tuple[Operator, str, str, _T]],
+) -> Iterator[tuple[Operator, str, str, _T]]:
+    """Yield the changes; of those in the same words each says which one it is."""
+    every = list(changes)
+    alike = Counter(each[:3] for each in every)
+    seen: Counter[tuple[Operator, str, str]] = Counter()
+    for operator, before, after, wrong in every:
+        words = operator, before, after
+        seen[words] += 1
+        which = f" (number {seen[words]} of {alike[words]})" if alike[words] > 1 else ""
+        yield operator, f"{before}{which}", after, wrong
 
 
 def _told(rule: Rule, wrong: Rule) -> Iterator[str]:

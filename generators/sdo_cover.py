@@ -17,7 +17,7 @@ from ecatspec.generators.transfers import (
     write,
 )
 from ecatspec.model.dictionary import encode_value, size_of, size_varies
-from ecatspec.spec.language.ir import Access, In, Literal, Name, SInt
+from ecatspec.spec.language.ir import Access, Binary, In, Literal, Name, SInt
 from ecatspec.spec.language.scope import nodes_in, parts_of
 
 if TYPE_CHECKING:
@@ -145,6 +145,18 @@ def named_indexes(model: Model) -> list[int]:
                 ends = (end for item in node.items for end in (parts_of(item) or (item,)))
                 named |= {int(end.value): None for end in ends if isinstance(end, Literal)}
     return [index for index in named if index not in declared]
+
+
+def compared_indexes(model: Model) -> list[int]:
+    """Give the indexes on both sides of each number that rules compare an index with."""
+    edges: dict[int, None] = {}
+    for machine in model.protocol.machines.values():
+        for rule in machine.rules:
+            for node in nodes_in(rule.guard):
+                match node:
+                    case Binary("<" | "<=" | ">" | ">=", Name("index"), Literal(edge)):
+                        edges |= {int(edge) - 1: None, int(edge): None, int(edge) + 1: None}
+    return [index for index in edges if 0 <= index <= _LAST_INDEX]
 
 
 def missing_subindexes(model: Model) -> dict[int, list[int]]:

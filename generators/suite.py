@@ -9,6 +9,7 @@ from ecatspec.generators.boundary_cover import boundary_cover
 from ecatspec.generators.complete_cover import complete_cover
 from ecatspec.generators.configuration_cover import configuration_cover
 from ecatspec.generators.drive_cover import drive_cover
+from ecatspec.generators.event_cover import event_cover
 from ecatspec.generators.example_cover import example_cover
 from ecatspec.generators.family_cover import family_cover
 from ecatspec.generators.information_cover import information_cover
@@ -16,6 +17,7 @@ from ecatspec.generators.mailbox_cover import mailbox_cover
 from ecatspec.generators.process_cover import process_cover
 from ecatspec.generators.register_cover import register_cover
 from ecatspec.generators.sdo_cover import sdo_cover
+from ecatspec.generators.server_cover import server_cover
 from ecatspec.generators.transfer_cover import transfer_cover
 from ecatspec.generators.transition_cover import transition_cover
 
@@ -31,6 +33,7 @@ GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = Map
         "registers": register_cover,
         "transitions": transition_cover,
         "process": process_cover,
+        "events": event_cover,
         "configuration": configuration_cover,
         "drive": drive_cover,
         "mailbox": mailbox_cover,
@@ -38,6 +41,7 @@ GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = Map
         "sdo": sdo_cover,
         "transfers": transfer_cover,
         "complete": complete_cover,
+        "server": server_cover,
         "information": information_cover,
         "families": family_cover,
     }

@@ -70,7 +70,7 @@ def transfer_cover(model: Model, limits: Limits) -> Iterator[Case]:
     target = transfer_target(model)
     if target is not None:
         yield from _interruptions(model, limits, target)
-    long = _long_entry(model)
+    long = long_entry(model)
     if long is not None:
         yield from _uploads(model, limits, long)
 
@@ -98,7 +98,7 @@ def _key(entry: ObjectEntry) -> tuple[int, int]:
     return entry.index, entry.subindex
 
 
-def _long_entry(model: Model) -> ObjectEntry | None:
+def long_entry(model: Model) -> ObjectEntry | None:
     """Give an entry whose upload takes segments, written first where that is needed."""
     room = model.parameter("mailbox_in", "length") - model.parameter("initiate_overhead")
     for entry in model.protocol.objects:
@@ -192,11 +192,18 @@ def _lengths(model: Model, limits: Limits, most: int) -> list[int]:
 
 def _interruptions(model: Model, limits: Limits, target: ObjectEntry) -> Iterator[Case]:
     key = _key(target)
-    piece = min(segment_room(model, limits), max(1, size_of(target) // 3))
-    size = min(3 * piece, size_of(target))
+    whole, room = size_of(target), segment_room(model, limits)
+    piece = min(room, max(1, whole // 3))
+    # an object of fixed size takes nothing shorter: the last segment brings the rest
+    fits = not size_varies(target) and whole - 2 * piece <= room
+    size = whole if fits else min(3 * piece, whole)
     value = pattern(size)
     begin = initiate(*key, size, b"")
-    one, two, three = ([*segments(value, piece), *[segments(value, piece)[-1]] * 3])[:3]
+    pieces = (value[:piece], value[piece : 2 * piece], value[2 * piece :])
+    one, two, three = (
+        segment(each, toggle=number % 2 == 1, last=number == len(pieces) - 1)
+        for number, each in enumerate(pieces)
+    )
     first = segment_with(one, last=0)
     second = segment_with(two, last=0)
     probe = next(

@@ -6,8 +6,8 @@ taken out: rules that cannot fire, checks that always or never hold, alternative
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast, get_args
 
 from ecatspec.model.compiled import Model
 from ecatspec.model.evaluate import Environment
@@ -17,9 +17,11 @@ from ecatspec.spec.language.ir import (
     Bool,
     Call,
     Conditional,
+    Expression,
     Literal,
     Name,
     Pin,
+    Range,
     Unary,
 )
 from ecatspec.spec.language.scope import Scope, UnresolvedName, kind_of, nodes_in, parts_of
@@ -27,8 +29,10 @@ from ecatspec.spec.language.scope import Scope, UnresolvedName, kind_of, nodes_i
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ecatspec.spec.language.ir import Expression, Protocol, Range, Rule
+    from ecatspec.spec.language.ir import Protocol, Rule
 
+_N = TypeVar("_N", bound=Expression | Range)
+_EXPRESSIONS: Final = get_args(Expression)
 _LOGIC: Final = {"and": True, "or": False}
 """What a part may always be without changing the row."""
 _STATIC: Final = frozenset({"declared", "object_exists", "dictionary_closed", "is_plain_variable"})
@@ -134,7 +138,25 @@ class _Fold:
                     otherwise=self.expression(otherwise, scope),
                 )
             case _:
-                return value
+                return self._inside(value, scope)
+
+    def _inside(self, value: _N, scope: Scope) -> _N:
+        """Give a comparison, a set or a call with the alternatives that are taken in it."""
+        changes: dict[str, object] = {}
+        for field in fields(value):
+            part = getattr(value, field.name)
+            if isinstance(part, tuple):
+                changes[field.name] = tuple(self._part(item, scope) for item in part)
+            elif isinstance(part, _EXPRESSIONS):
+                changes[field.name] = self._part(part, scope)
+        return cast("_N", replace(cast("Any", value), **changes)) if changes else value
+
+    def _part(self, value: Expression | Range, scope: Scope) -> Expression | Range:
+        return (
+            self.expression(value, scope)
+            if isinstance(value, Conditional)
+            else self._inside(value, scope)
+        )
 
     def _truth(self, value: Expression, scope: Scope) -> bool | None:
         """Give the truth that an expression has whatever the device's state and its input.

@@ -22,7 +22,7 @@ from ecatspec.conformance import cli, monitor, mutate, record, runner
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import HANG_TIMEOUT
 from ecatspec.conformance.devices import machine_sheets, sheets
-from ecatspec.conformance.mutate import Analysis, Fate, Fated, TableKills
+from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
 from ecatspec.generators.case import DEPTHS
 from ecatspec.generators.complete.faults import Kills

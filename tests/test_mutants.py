@@ -13,19 +13,21 @@ from ecatspec.conformance import mutate
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.mutate import Fate, analyse
+from ecatspec.conformance.kills import Fate
+from ecatspec.conformance.mutate import analyse
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
 from ecatspec.generators.complete.suites import state_cover_suite
+from ecatspec.generators.equivalents import Equivalents
 from ecatspec.generators.finite_cover import complete_suites
 from ecatspec.generators.mutants import DEFINE, Operator, mutants
-from ecatspec.generators.suite import all_cases
+from ecatspec.generators.suite import GENERATORS, all_cases
 from ecatspec.model.built import as_built
 from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.spec.language.load import load_device, load_faults, load_file, plant
+from ecatspec.spec.language.load import device_names, load_device, load_faults, load_file, plant
 from ecatspec.spec.language.pretty import pretty_expression
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.conformance.mutate import Analysis
+    from ecatspec.conformance.kills import Analysis
     from ecatspec.generators.case import Case, Limits
     from ecatspec.generators.mutants import Mutant
     from ecatspec.model.state import Event, Step
@@ -136,6 +138,9 @@ FOLDED = {
     "if al.error then always else not never": "true",
     "if al.error then always and fed else never": "if al.error then fed else false",
     "length(sdo.data) == 0 and always": "length(sdo.data) == 0",
+    "length(sdo.data) == (if never then 1 else 2)": "length(sdo.data) == 2",
+    "length(sdo.data) in { 7, (if always then 1 else 2) }": "length(sdo.data) in { 7, 1 }",
+    "lesser(if always then 1 else 2, sdo.size) > 3": "lesser(1, sdo.size) > 3",
 }
 
 
@@ -365,6 +370,24 @@ def test_each_mutant_differs_in_one_place_and_no_two_are_the_same() -> None:
     assert set(seen.values()) == {1}
 
 
+@pytest.mark.parametrize("device", device_names())
+def test_no_two_mutants_are_described_alike(device: str) -> None:
+    described = Counter((m.place, m.operator, m.before, m.after) for m in mutants_of(device))
+    assert described
+    assert set(described.values()) == {1}
+
+
+def test_mistakes_in_the_same_words_say_which_one_they_are() -> None:
+    """`subindex > 0` and `... != 0` stand there; both numbers can be off by one."""
+    found = [
+        m.before
+        for m in mutants_of(DRIVE)
+        if (m.place, m.after) == (f"{DEFINE}entry_locked", "1")
+        and m.operator is Operator.OFF_BY_ONE
+    ]
+    assert found == [f"0 (number {n} of 3)" for n in (1, 2, 3)]
+
+
 NUMBERS = {
     Operator.NEGATED: 217,
     Operator.UNCHECKED: 434,
@@ -391,7 +414,7 @@ def test_a_check_is_what_lets_other_inputs_through() -> None:
 
 
 @cache
-def few_cases() -> object:
+def few_cases() -> mutate._Ground:
     """What the small device shows in a suite of few cases."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mutate, "all_cases", few)
@@ -412,15 +435,22 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Analysis]:
     return analysed
 
 
-def named(place: str, operator: Operator, before: str, after: str = "nothing") -> Mutant:
-    """Give the mutant of the small device that has this wrong; `before` may be its beginning."""
+def wrong_in(device: str, mistake: Mistake) -> Mutant:
+    """Give the mutant of a device that has this wrong; what was there may be its beginning."""
+    place, operator, before, *rest = mistake
+    after = rest[0] if rest else "nothing"
     (found,) = (
         mutant
-        for mutant in mutants_of(SMALL)
+        for mutant in mutants_of(device)
         if (mutant.place, mutant.operator, mutant.after) == (place, operator, after)
         and mutant.before.startswith(before)
     )
     return found
+
+
+def named(place: str, operator: Operator, before: str, after: str = "nothing") -> Mutant:
+    """Give the mutant of the small device that has this wrong."""
+    return wrong_in(SMALL, (place, operator, before, after))
 
 
 Mistake: TypeAlias = "tuple[str, Operator, str] | tuple[str, Operator, str, str]"
@@ -430,6 +460,7 @@ EARLY = Operator.UNCHECKED
 DROPPED = Operator.UPDATE_DROPPED
 UNSPECIFIED = "al_status_code.unspecified_error"
 COMPLETE = "not complete_access"
+TOO_HIGH = "too_high(index, subindex, value)"
 TOLERATED = ("sdo.download_expedited", WRONG, "sdo.write complete", COMPLETE)
 FATES: Final[Mapping[Mistake, tuple[Fate, str]]] = {
     ("al.bootstrap_refused", EARLY, "free and", "free"): (Fate.KILLED, "AL-04"),
@@ -437,7 +468,7 @@ FATES: Final[Mapping[Mistake, tuple[Fate, str]]] = {
     ("al.preop_to_safeop", WRONG, "code = no_error", UNSPECIFIED): (Fate.EQUIVALENT, ""),
     ("al.safeop_to_op", DROPPED, "identified"): (Fate.EQUIVALENT, ""),
     TOLERATED: (Fate.TOLERATED, ""),
-    ("al.op_to_safeop", EARLY, "free and", "free"): (Fate.UNNOTICED, ""),
+    ("sdo.value_too_high", EARLY, "value_fits", TOO_HIGH): (Fate.UNNOTICED, ""),
     ("sdo.value_taken_by_segments", SILENT, "store value"): (Fate.UNNOTICED, ""),
 }
 """What becomes of a mutant, and a clause that is cited."""
@@ -513,6 +544,114 @@ def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
         blamed = next((c.name for c in cases if runner.judge(c).outcome in BLAMING), "")
         assert bool(blamed) is (each.fate is Fate.KILLED), f"{each.mutant}: {blamed or each.case}"
     assert {each.fate for each in found.fated} == set(Fate)
+
+
+# --- proofs ---------------------------------------------------------------------------------------
+
+IN_VAIN: Final[Mapping[str, Mistake]] = {
+    "the device raises no emergency": ("emergency.emergency_sent", SILENT, "send emergency"),
+    "no entry is for writing alone": ("sdo.upload_write_only", SILENT, "send sdo_abort"),
+    "the device has no state BOOT": ("al.boot_kept", Operator.WRONG_TARGET, "stays", "SAFEOP"),
+    "the object 0x1000 is declared": (
+        "sdo_information.object_missing",
+        Operator.OFF_BY_ONE,
+        "0x1000",
+        "0x1001",
+    ),
+    "the value has four bits": (f"{DEFINE}no_service", Operator.OFF_BY_ONE, "15", "16"),
+    "what changes nothing need not be asked for": (
+        "ds402.fault_stays",
+        EARLY,
+        "not reset or cause",
+        "cause",
+    ),
+}
+"""Mistakes of the drive that are none, and why."""
+REAL: Final[tuple[Mistake, ...]] = (
+    ("al.init_to_preop", Operator.WRONG_TARGET, "PREOP", "BOOT"),
+    ("sdo_information.object_missing", Operator.OFF_BY_ONE, "0x1000", "0x0FFF"),
+    (f"{DEFINE}no_service", Operator.OFF_BY_ONE, "15", "14"),
+    ("ds402.fault_reset_15", EARLY, "reset and not cause", "reset"),
+    ("mailbox.mail_too_short", DROPPED, "last = counter"),
+    ("sdo.upload_expedited", SILENT, "send sdo_upload_expedited"),
+)
+
+
+@cache
+def proofs(device: str) -> Equivalents:
+    built = built_of(device)
+    return Equivalents(built, described(built).locals)
+
+
+@pytest.mark.parametrize("why", IN_VAIN)
+def test_the_solver_proves_that_a_mistake_is_none(why: str) -> None:
+    assert proofs(DRIVE).proved(wrong_in(DRIVE, IN_VAIN[why])), why
+
+
+@pytest.mark.parametrize("mistake", REAL, ids=lambda mistake: mistake[0])
+def test_the_solver_proves_nothing_of_a_mistake(mistake: Mistake) -> None:
+    assert not proofs(DRIVE).proved(wrong_in(DRIVE, mistake))
+
+
+def test_what_is_proved_to_do_the_same_answers_the_same() -> None:
+    ground = few_cases()
+    proved = [m for m in mutants_of(SMALL)[::5] if proofs(SMALL).proved(m)]
+    assert len({mutant.place for mutant in proved}) > 10
+    for mutant in proved:
+        heard = mutate._Heard(mutant.protocol)  # noqa: SLF001  the device that is listened to
+        for shown in ground.shown[::3]:
+            assert not heard.differs(shown.log), f"{mutant}: {shown.case.name}"
+
+
+def test_a_proof_spares_the_cases(small: Callable[..., Analysis]) -> None:
+    mutant = next(m for m in mutants_of(SMALL) if proofs(SMALL).proved(m))
+    (found,) = small(mutant).fated
+    assert (found.fate, found.case) == (Fate.EQUIVALENT, "")
+
+
+def test_a_step_that_does_not_end_is_another_step(
+    small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mutate, "step", lambda *_: hang())
+    monkeypatch.setattr(mutate, "_PATIENCE", 0.05)
+    (found,) = small(named("sdo.upload_no_object", SILENT, "send sdo_abort")).fated
+    assert found.fate is Fate.KILLED
+
+
+# --- cases that were missing ----------------------------------------------------------------------
+
+EDGES = "kollmorgen-s300"
+AFAG = "afag-se-power"
+TARGET = Operator.WRONG_TARGET
+MISSING: Final[Mapping[str, tuple[str, Mistake]]] = {
+    "server: sdo/server/": (DRIVE, ("sdo.upload_no_object", TARGET, "IDLE", "stays")),
+    "mailbox: mailbox/refused_": (DRIVE, ("mailbox.mail_too_short", DROPPED, "last = counter")),
+    "transfers: sdo/transfer/over": (DRIVE, ("mailbox.started", SILENT, "give sdo.start")),
+    "events: al/events/OP/sync_lost": (AFAG, ("al.sync_lost_kept", TARGET, "stays", "INIT")),
+    "drive: ds402/quick_stop/switch_on/enable_operation/word_": (
+        EDGES,
+        ("ds402.row_5_second", TARGET, "SWITCHED_ON", "stays"),
+    ),
+    "drive: ds402/early/": (EDGES, ("ds402.row_1", TARGET, "SWITCH_ON_DISABLED", "stays")),
+}
+"""By a generator and the names of its cases: a device, and a mistake in it that they find."""
+
+
+@pytest.mark.parametrize("where", MISSING)
+def test_a_mistake_is_found_by_the_cases_for_it(where: str) -> None:
+    generator, _, begin = where.partition(": ")
+    device, mistake = MISSING[where]
+    model = Model(load_device(device))
+    every = GENERATORS[generator](model, NO_LIMITS)
+    cases = [case for case in every if case.name.startswith(begin)]
+    blamed = []
+    for protocol in (built_of(device), wrong_in(device, mistake).protocol):
+        adapter = adapter_of(protocol)
+        runner = Runner(model, adapter, adapter.describe())
+        blamed.append([c.name for c in cases if runner.judge(c).outcome in BLAMING])
+    assert cases
+    assert not blamed[0]
+    assert blamed[1]
 
 
 def test_own_are_the_rules_of_the_device(small: Callable[..., Analysis]) -> None:

@@ -1,0 +1,304 @@
+"""The only place for the proof that a mistake in the texts is none: the solver finds no difference.
+
+A device with the mistake takes the same rule, or one that does the same, for every input in every
+state that can be reached. What the proof does not know (the content of bytes, what objects hold)
+may be anything in it, so that it errs on one side only: it misses mutants that are no mistakes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
+
+from ecatspec.generators.mutants import DEFINE, SHOWN, definitions_in
+from ecatspec.model.chains import Chains
+from ecatspec.model.compiled import MAILBOX, rows_of
+from ecatspec.model.meaning import Meaning
+from ecatspec.model.moments import Anything, Content, Moment
+from ecatspec.model.terms import Answer, Solver, all_of, any_of, equal, negated
+from ecatspec.spec.language.ir import Expression, Gap, Name, Range, Rule
+from ecatspec.spec.language.scope import Scope, UnresolvedName
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from ecatspec.generators.mutants import Mutant
+    from ecatspec.model.moments import Meant
+    from ecatspec.model.terms import Term
+    from ecatspec.spec.language.ir import Machine, Protocol, Update
+
+Row: TypeAlias = "Rule | Gap"
+Target = tuple[str, str]
+"""A machine and an input of it."""
+_INSIDE: Final = frozenset({"own", "local", "event"})
+"""Inputs that come from within the device only, from rules or by themselves."""
+
+
+class Equivalents:
+    """What the solver knows of a device as it is built, to prove mutants to be no mistakes."""
+
+    def __init__(self, built: Protocol, raisable: Collection[str]) -> None:
+        """Find out which rules can fire; `raisable` are the local events that can be raised."""
+        self._built = built
+        self._meaning = Meaning(built, abstract=False)
+        self._meaning.model.dictionary.close()
+        self._chains = Chains(self._meaning)
+        self._solver = Solver(self._meaning.symbols)
+        self._world = self._meaning.world()
+        self._raisable = frozenset(raisable)
+        self._rows: dict[Target, tuple[Row, ...]] = {}
+        for machine in built.machines.values():
+            for source in machine.inputs:
+                rows = tuple(row for row in rows_of(machine) if row.input == source.name)
+                self._rows[machine.name, source.name] = rows
+        self._reached = {m.name: {m.initial} for m in built.machines.values()}
+        self._live: dict[tuple[str, str], Rule] = {}
+        self._explore()
+
+    def proved(self, mutant: Mutant) -> bool:
+        """Tell whether a mutant is proved to do what the device does."""
+        try:
+            if mutant.place.startswith(DEFINE):
+                return self._same_definition(mutant)
+            return self._same_rule(mutant)
+        except UnresolvedName:  # it means something only where nobody looks here
+            return False
+
+    # --- what can happen --------------------------------------------------------------------------
+
+    def _explore(self) -> None:
+        """Find the rules that can fire and the states that they lead to, from power-on."""
+        moments = {target: self._moment(target) for target in self._rows}
+        grown = True
+        while grown:
+            grown = False
+            for (machine, name), rows in self._rows.items():
+                if not self._comes((machine, name)):
+                    continue
+                for row in rows:
+                    if isinstance(row, Gap) or (machine, row.name) in self._live:
+                        continue
+                    if self._can(self._enabled(row, moments[machine, name])):
+                        self._live[machine, row.name] = row
+                        if row.target is not None:
+                            self._reached[machine].add(row.target)
+                        grown = True
+
+    def _comes(self, target: Target) -> bool:
+        """Tell whether an input can come, as far as is known."""
+        machine, name = target
+        source = next(i for i in self._built.machines[machine].inputs if i.name == name)
+        if source.kind not in _INSIDE:
+            return True
+        event = f"{machine}.{name}"
+        fetched = self._meaning.model.fetched
+        if event in self._raisable or target == (fetched.machine, fetched.input):
+            return True
+        return any(event in _given(rule) for rule in self._live.values())
+
+    def _facts(self) -> tuple[Term, ...]:
+        """Give what is known of all machines: the states that they can be in."""
+        return tuple(
+            any_of(equal(self._state(name), value) for value in self._numbers(name, reached))
+            for name, reached in self._reached.items()
+            if reached != set(self._built.machines[name].states)
+        )
+
+    def _state(self, machine: str) -> Term:
+        state = self._world.get(f"{machine}.state")
+        assert not isinstance(state, Content | Anything)
+        return state
+
+    def _numbers(self, machine: str, names: Collection[str]) -> list[int]:
+        values = self._meaning.model.state_names(machine)
+        return [value for value, name in values.items() if name in names]
+
+    # --- questions --------------------------------------------------------------------------------
+
+    def _moment(self, target: Target) -> Moment:
+        return Moment(self._world, Scope(*target), ".".join(target), {})
+
+    def _enabled(self, row: Row, moment: Moment) -> Term:
+        return self._chains.enabled(row, self._machine(moment), moment)
+
+    def _machine(self, moment: Moment) -> Machine:
+        return self._built.machines[moment.scope.machine or ""]
+
+    def _can(self, *terms: Term) -> bool:
+        """Tell whether all can hold together; what the solver does not find out can."""
+        return self._solver.ask((*self._facts(), *terms)) is not Answer.NO
+
+    def _differ(self, one: Meant, other: Meant) -> Term:
+        """Give what holds where two values may differ."""
+        if isinstance(one, Content) and isinstance(other, Content):
+            return one.name != other.name
+        if isinstance(one, Content | Anything) or isinstance(other, Content | Anything):
+            return True
+        return negated(equal(one, other))
+
+    # --- rules ------------------------------------------------------------------------------------
+
+    def _same_rule(self, mutant: Mutant) -> bool:
+        machine, _, name = mutant.place.partition(".")
+        if (machine, name) not in self._live and not mutant.checks:
+            return True
+        (wrong,) = (r for r in mutant.protocol.machines[machine].rules if r.name == name)
+        target = machine, wrong.input
+        if not self._comes(target):
+            return True
+        rows = self._rows[target]
+        others = tuple(row for row in rows if row.name != name)
+        return self._same(target, rows, (wrong, *others))
+
+    def _same_definition(self, mutant: Mutant) -> bool:
+        name = mutant.place.removeprefix(DEFINE)
+        old, new = (p.definitions[name].value for p in (self._built, mutant.protocol))
+        if SHOWN in mutant.machines and self._can(
+            self._unlike(old, new, Moment(self._world, Scope(), "shown", {}))
+        ):
+            return False
+        for target, rows in self._rows.items():
+            if not self._comes(target):
+                continue
+            wrong = tuple(self._with(row, name, new) for row in rows)
+            moment = self._moment(target)
+            for row in rows:
+                if isinstance(row, Gap) or (target[0], row.name) not in self._live:
+                    continue
+                rest = replace(row, guard=None)
+                if name not in definitions_in(self._built, rest):
+                    continue
+                # what follows a frame is looked at later, in whatever state there is then
+                late = row.after is not None and name in definitions_in(self._built, row.after)
+                here = True if late else self._enabled(row, moment)
+                if self._can(here, self._unlike(old, new, moment)):
+                    return False
+            if any(a is not b for a, b in zip(rows, wrong, strict=True)) and not self._same(
+                target, rows, wrong
+            ):
+                return False
+        return True
+
+    def _unlike(self, old: Expression, new: Expression, moment: Moment) -> Term:
+        return self._differ(*(self._meaning.value(each, moment, None) for each in (old, new)))
+
+    def _with(self, row: Row, name: str, value: Expression) -> Row:
+        """Give a row whose guard has another definition; the row itself where it has not."""
+        if row.guard is None or name not in definitions_in(self._built, row.guard):
+            return row
+        return replace(row, guard=_inlined(self._built, row.guard, name, value))
+
+    def _same(self, target: Target, rows: tuple[Row, ...], wrong: tuple[Row, ...]) -> bool:
+        """Tell whether the first of the wrong rows that fires does what the right one does."""
+        moment = self._moment(target)
+        right = [(row, self._enabled(row, moment)) for row in rows]
+        ways: list[tuple[Row | None, Term]] = []
+        before: list[Term] = []
+        for row in wrong:
+            here = self._enabled(row, moment)
+            ways.append((row, all_of((here, *before))))
+            before.append(negated(here))
+        ways.append((None, all_of(before)))
+        known = [*right, (None, all_of(negated(here) for _, here in right))]
+        return not any(
+            self._can(here, there, self._unlike_effects(one, other, moment))
+            for one, here in known
+            for other, there in ways
+            if one is not other and not (one in wrong and other in rows)
+        )
+
+    def _unlike_effects(self, one: Row | None, other: Row | None, moment: Moment) -> Term:
+        """Give what holds where two rows may do something different."""
+        if _effects(one) != _effects(other) or (None in {one, other} and self._delivered(moment)):
+            return True
+        parts: list[Term] = []
+        machine = moment.scope.machine or ""
+        for source in self._built.machines[machine].states:
+            if _target(one, source) != _target(other, source):
+                (value,) = self._numbers(machine, {source})
+                parts.append(equal(self._state(machine), value))
+        changes = [self._changed(row, moment) for row in (one, other)]
+        for slot in changes[0].keys() | changes[1].keys():
+            if not _alike(one, other, slot):
+                was = self._world.get(slot)
+                parts.append(self._differ(*(change.get(slot, was) for change in changes)))
+        return any_of(parts)
+
+    def _delivered(self, moment: Moment) -> bool:
+        """Tell whether an input is a message that the mailbox hands on, which has to be taken."""
+        machine = self._machine(moment)
+        source = next(i for i in machine.inputs if i.name == moment.scope.input)
+        return source.kind == "frame" and machine.name != MAILBOX
+
+    def _changed(self, row: Row | None, moment: Moment) -> dict[str, Meant]:
+        """Give what a row sets, by slot."""
+        changes: dict[str, Meant] = {}
+        for update in _updates(row):
+            slot = _slot(update, moment.scope.machine or "")
+            kind = self._meaning.kinds[slot]
+            changes[slot] = self._meaning.value(update.value, moment, kind)
+        return changes
+
+
+def _alike(one: Row | None, other: Row | None, slot: str) -> bool:
+    """Tell whether two rows set a slot in the same words."""
+    names = {slot, slot.rpartition(".")[2]}
+    said = [[u.value for u in _updates(row) if u.variable in names] for row in (one, other)]
+    return said[0] == said[1]
+
+
+def _updates(row: Row | None) -> tuple[Update, ...]:
+    return row.updates if isinstance(row, Rule) else ()
+
+
+def _slot(update: Update, machine: str) -> str:
+    return update.variable if "." in update.variable else f"{machine}.{update.variable}"
+
+
+def _target(row: Row | None, source: str) -> str:
+    if not isinstance(row, Rule) or row.target is None:
+        return source
+    return row.target
+
+
+def _effects(row: Row | None) -> tuple[object, ...]:
+    """Give what a row does beside its target and what it sets; its time limit is none of it."""
+    if not isinstance(row, Rule):
+        return ((), (), (), None, None, ())
+    return (row.stores, row.sends, row.gives, row.after, row.take, row.laters)
+
+
+def _given(rule: Rule) -> set[str]:
+    """Give the events that a rule gives, at once or later."""
+    given = {give.target for give in rule.gives} | {later.target for later in rule.laters}
+    return given if rule.after is None else given | {give.target for give in rule.after.gives}
+
+
+def _inlined(protocol: Protocol, node: Expression, name: str, value: Expression) -> Expression:
+    """Give an expression with other words in the place of a definition, however deep it is."""
+    if isinstance(node, Name):
+        if node.path == name:
+            return value
+        inner = protocol.definitions.get(node.path)
+        if inner is None or name not in definitions_in(protocol, inner.value):
+            return node
+        return _inlined(protocol, inner.value, name, value)
+    changes: dict[str, Any] = {}
+    for field in fields(node):
+        part = getattr(node, field.name)
+        if isinstance(part, tuple):
+            new: Any = tuple(_part(protocol, item, name, value) for item in part)
+        else:
+            new = _part(protocol, part, name, value)
+        if new is not part and new != part:
+            changes[field.name] = new
+    return replace(cast("Any", node), **changes) if changes else node
+
+
+def _part(protocol: Protocol, part: object, name: str, value: Expression) -> object:
+    if isinstance(part, Range):
+        low, high = (_inlined(protocol, end, name, value) for end in (part.low, part.high))
+        return replace(part, low=low, high=high)
+    if isinstance(part, Expression):
+        return _inlined(protocol, part, name, value)
+    return part

@@ -1,0 +1,93 @@
+"""The only place for cases of local events in each AL state: faults, lost power or clock, restarts.
+
+What befalls a device before it is in operation shows on the way up, or once it is there.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ecatspec.generators.bringup import WAY_UP, request, way_to
+from ecatspec.generators.case import Case, Happen, Stimulus, WriteOutputs
+from ecatspec.generators.drive_cover import CONTROL, STATUS, commands
+from ecatspec.generators.play import play
+from ecatspec.generators.process_data import holds
+from ecatspec.generators.transfers import upload
+from ecatspec.model.subdevice import VirtualSubDevice
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Limits
+    from ecatspec.model.compiled import Model
+
+_MOST = 2
+"""So many events follow one another, each of which changed something."""
+_AFTERWARDS = ("disable_voltage", "fault_reset", "disable_voltage", "shutdown", "switch_on")
+"""Commands at the end: they show in which state the drive is."""
+
+
+def event_cover(model: Model, _: Limits) -> Iterator[Case]:
+    """Yield a case for each row of events in each AL state; the way up goes on behind them."""
+    device = VirtualSubDevice(model.protocol)
+    for state in WAY_UP:
+        way = () if state == WAY_UP[0] else way_to(model, state)
+        for events in _rows(model, device, way):
+            names = [event.partition(".")[2] for event in events]
+            happened = tuple(Happen(event) for event in events)
+            up = (*_look(model, state), *_onwards(model, state))
+            title = f"{', then '.join(names).replace('_', ' ')} in {state}, then up"
+            name = f"al/events/{state}/{'/'.join(names)}"
+            needs = None if state == WAY_UP[0] else state
+            yield Case(name, title, "al", (*way, *happened, *up), needs, len(way))
+
+
+def _rows(
+    model: Model, device: VirtualSubDevice, way: tuple[Stimulus, ...]
+) -> Iterator[tuple[str, ...]]:
+    """Yield each event, and rows of them that lead to something new with each."""
+    every = sorted(f"{event.machine}.{event.input}" for event in model.locals)
+    seen = {_after(model, device, way)}
+    rows: list[tuple[str, ...]] = [()]
+    while rows:
+        row = rows.pop(0)
+        for event in every:
+            longer = (*row, event)
+            reached = _after(model, device, (*way, *(Happen(each) for each in longer)))
+            new = reached not in seen
+            seen.add(reached)
+            if new or not row:
+                yield longer
+            if new and len(longer) < _MOST:
+                rows.append(longer)
+
+
+def _after(
+    model: Model, device: VirtualSubDevice, stimuli: tuple[Stimulus, ...]
+) -> tuple[object, ...]:
+    device.reset()
+    play(model, device, stimuli)
+    return device.state.slots
+
+
+def _look(model: Model, state: str) -> Iterator[Stimulus]:
+    """Yield an upload of the status word, where the mailbox works and there is one."""
+    word = model.protocol.words.get(STATUS)
+    if word is not None and word.key in model.dictionary.entries and state != WAY_UP[0]:
+        yield upload(*word.key)
+
+
+def _onwards(model: Model, state: str) -> Iterator[Stimulus]:
+    """Yield the rest of the way up, a request that acknowledges, and commands for the drive."""
+    up = way_to(model, WAY_UP[-1])
+    yield from up[0 if state == WAY_UP[0] else len(way_to(model, state)) :]
+    yield from _look(model, WAY_UP[-1])
+    op = model.row("al_state", WAY_UP[-1])
+    yield request(op, acknowledge=True)
+    if CONTROL in model.protocol.words and holds(
+        model, VirtualSubDevice(model.protocol).state, CONTROL
+    ):
+        known = commands(model)
+        for name in _AFTERWARDS:
+            yield WriteOutputs({CONTROL: known[name]})
+    yield from _look(model, WAY_UP[-1])

@@ -51,6 +51,7 @@ mutants: $(VENV)/installed  ## measure what the suites kill, and write docs/muta
 bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/run.py
 	$(BIN)/python bench/complete.py
+	$(BIN)/python bench/diff.py
 
 clean:  ## remove everything made here
 	rm -rf $(VENV) build dist ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

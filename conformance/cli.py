@@ -48,6 +48,7 @@ EXAMPLES: Final = {
     "trace": "ecatspec trace kollmorgen-akd --missing",
     "prove": "ecatspec prove kollmorgen-akd",
     "mutate": "ecatspec mutate kollmorgen-akd --own",
+    "diff": "ecatspec diff kollmorgen-akd kollmorgen-s300",
 }
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
@@ -435,6 +436,50 @@ def mutate(
         _print("".join(f"not noticed: {line}\n" for line in found.survivors()))
     whole = all(table.kills.score == 1 for table in found.tables)
     return CONFORMS if whole and found.score() * 100 >= at_least else DOES_NOT_CONFORM
+
+
+@cli.command(epilog=_example("diff"))
+@click.argument("first", metavar="A")
+@click.argument("second", required=False, metavar="[B]")
+@click.option("--section", "sections", multiple=True, metavar="NAME", help="Only this section.")
+@click.option("--verify", is_flag=True, help="Replay each witness on both virtual SubDevices.")
+@click.option("--export", "vectors", metavar="FILE", help="Write the witnesses as test vectors.")
+@click.option("--html", "page", metavar="FILE", help="Write one page with diagrams.")
+@click.option("--json", "form", flag_value="json", help="Give the comparison as JSON.")
+@click.option("--markdown", "form", flag_value="markdown", help="Give it as Markdown.")
+@click.option("--dut", "duts", multiple=True, help="Twice: compare two devices by the suite of A.")
+def diff(
+    *,
+    first: str,
+    second: str | None,
+    sections: tuple[str, ...],
+    verify: bool,
+    vectors: str | None,
+    page: str | None,
+    form: str | None,
+    duts: tuple[str, ...],
+) -> int:
+    """Tell what A and B do differently, each difference with its shortest witness.
+
+    A and B are devices, `standard`, texts, or texts of a git revision (FILE@REVISION). With --dut X
+    --dut Y both devices get the stimuli of the suite of A, and only differences are told.
+    """
+    from ecatspec.conformance.diff import command
+
+    wanted = command.Wanted(sections, form, vectors, page, verify=verify)
+    if duts:
+        text = command.devices(first, second, duts, wanted)
+    elif second is None:
+        _refuse("two are compared; give a second one: ecatspec diff A B")
+    else:
+        text = command.texts(first, second, wanted)
+    if form == "json":
+        _print_json("ecatspec.diff", text.data)
+    else:
+        _print(text.words + "".join(map(_table, text.sheets)))
+    for failure in text.failures:
+        _warn(f"ecatspec: not as stated: {failure}")
+    return DOES_NOT_CONFORM if text.differs or text.failures else CONFORMS
 
 
 # --- output ---------------------------------------------------------------------------------------

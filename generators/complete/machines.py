@@ -34,6 +34,7 @@ from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.finite import explore
 from ecatspec.model.mealy import minimise
+from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, taken
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import bits_of
@@ -51,7 +52,10 @@ Alphabet = dict[str, tuple["Stimulus", ...]]
 _EVENTS = ("ds402.fault", "ds402.fault_gone", "ds402.mains_off", "ds402.mains_on")
 ALL_EVENTS = frozenset(_EVENTS)
 """The local events that the machines of a drive have as inputs."""
-_REPLY_FIELDS = ("toggle", "last")
+REPLY_FIELDS = ("toggle", "last")
+"""What of an answer is looked at beside its kind and its abort code."""
+AL_SLOTS = ("al.state", "al.error", "al.code", "process_data.state", "process_data.fed")
+"""The slots that tell the states of the AL machine apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,16 @@ class Abstraction:
         """Give the stimuli of a word from power-on, the prelude first."""
         names = self.machine.names(word)
         return (*self.prelude, *(s for name in names for s in self.stimuli[name]))
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What is driven: what leads to the beginning, the inputs, the slots that tell states apart."""
+
+    name: str
+    prelude: tuple[Stimulus, ...]
+    alphabet: Mapping[str, tuple[Stimulus, ...]] = field(hash=False)
+    slots: tuple[str, ...]
 
 
 class Driven:
@@ -236,7 +250,7 @@ def _kind(model: Model, data: bytes) -> str:
     code = message.fields.get("code")
     if message.frame == "sdo_abort" and isinstance(code, int):
         found.append(f"{code:#010x}")
-    for name in _REPLY_FIELDS:
+    for name in REPLY_FIELDS:
         value = message.fields.get(name)
         if isinstance(value, int):
             found.append(f"{name}={int(value)}")
@@ -260,9 +274,8 @@ def al_machine(
     alphabet = dict(symbols(model))
     if has_process_data(model):
         alphabet["stop_outputs"] = (StopOutputs(),)
-    slots = ("al.state", "al.error", "al.code", "process_data.state", "process_data.fed")
-    driven = Driven(model, (), alphabet, (al_status,), slots, choices, device)
-    return _abstraction("AL", driven)
+    setup = Setup("AL", (), alphabet, AL_SLOTS)
+    return _abstraction(model, setup, (al_status,), choices, device)
 
 
 def drive_machine(
@@ -276,12 +289,17 @@ def drive_machine(
     Inputs: the control words of the commands, and those of `events` that may befall the drive.
     Outputs: the bits of the status word that tell the state, and AL Status.
     """
+    setup = drive_setup(model, events)
+    if setup is None:
+        return None
+    return _abstraction(model, setup, (drive_status, al_status), choices, device)
+
+
+def drive_setup(model: Model, events: Collection[str] = ALL_EVENTS) -> Setup | None:
+    """Give what the machine of the drive is made of; None: the device has none in process data."""
     if not _drives(model):
         return None
-    alphabet = _drive_alphabet(model, events)
-    looks = (drive_status, al_status)
-    driven = Driven(model, way_to(model, "OP"), alphabet, looks, _DRIVE, choices, device)
-    return _abstraction("DS402", driven)
+    return Setup("DS402", way_to(model, "OP"), _drive_alphabet(model, events), _DRIVE)
 
 
 def al_drive_machine(
@@ -295,6 +313,14 @@ def al_drive_machine(
     Inputs: requests of SAFEOP and OP, the commands that go on and back, faults. Outputs as for the
     drive alone.
     """
+    setup = al_drive_setup(model, events)
+    if setup is None:
+        return None
+    return _abstraction(model, setup, (drive_status, al_status), choices, device)
+
+
+def al_drive_setup(model: Model, events: Collection[str] = ALL_EVENTS) -> Setup | None:
+    """Give what the machine of AL and drive is made of; None: the device is no drive."""
     if not _drives(model):
         return None
     whole = _drive_alphabet(model, events)
@@ -302,10 +328,7 @@ def al_drive_machine(
     for name in ("SAFEOP", "OP"):
         alphabet[f"request_{name}"] = (request(model.row("al_state", name)),)
     slots = ("al.state", "al.error", "al.code", "process_data.fed", *_DRIVE[1:])
-    prelude = way_to(model, "OP")
-    looks = (drive_status, al_status)
-    driven = Driven(model, prelude, alphabet, looks, slots, choices, device)
-    return _abstraction("AL x DS402", driven)
+    return Setup("AL x DS402", way_to(model, "OP"), alphabet, slots)
 
 
 def sdo_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstraction | None:
@@ -314,6 +337,12 @@ def sdo_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstr
     Inputs: uploads and downloads of one entry each, short and long, segments with both toggle bits,
     an abort, an unknown command. Outputs: the kind of the answer, its toggle bit and abort code.
     """
+    setup = sdo_setup(model)
+    return None if setup is None else _abstraction(model, setup, (replies,), choices, None)
+
+
+def sdo_setup(model: Model) -> Setup | None:
+    """Give what the machine of the SDO server is made of; None: there is nothing to read."""
     alphabet = _sdo_alphabet(model)
     if not alphabet:
         return None
@@ -321,8 +350,7 @@ def sdo_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstr
         *("sdo.state", "sdo.index", "sdo.subindex", "sdo.complete", "sdo.expected_toggle"),
         *("sdo.size", "sdo.data", "al.state"),
     )
-    driven = Driven(model, way_to(model, "PREOP"), alphabet, (replies,), slots, choices)
-    return _abstraction("SDO", driven)
+    return Setup("SDO", way_to(model, "PREOP"), alphabet, slots)
 
 
 def driven_again(
@@ -342,11 +370,19 @@ _TOGETHER = ("shutdown", "switch_on", "enable_operation", "disable_voltage", "fa
 _DRIVE = ("al.state", "ds402.state", "ds402.mains", "ds402.cause", "word control_word")
 
 
-def _abstraction(name: str, driven: Driven) -> Abstraction:
+def _abstraction(
+    model: Model,
+    setup: Setup,
+    looks: tuple[Callable[[Driven], str], ...],
+    choices: Mapping[str, str] | None,
+    device: VirtualSubDevice | None,
+) -> Abstraction:
+    driven = Driven(model, setup.prelude, setup.alphabet, looks, setup.slots, choices, device)
     found = minimise(explore(driven, tuple(driven.alphabet)))
-    return Abstraction(name, found.machine, driven.prelude, driven.alphabet, found.merged)
+    return Abstraction(setup.name, found.machine, driven.prelude, driven.alphabet, found.merged)
 
 
+@once
 def _drives(model: Model) -> bool:
     if not {CONTROL, STATUS} <= {word.name for word in model.words.values()}:
         return False

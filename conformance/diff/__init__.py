@@ -1,0 +1,1 @@
+"""The only place for what two specifications, or two devices, do differently."""

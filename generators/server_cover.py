@@ -71,8 +71,14 @@ def server_cover(model: Model, limits: Limits) -> Iterator[Case]:
                 title,
                 [*way, *request.messages, *looks],
                 state=request.state,
-                feature=request.feature,
+                feature=request.feature or _carried(request),
             )
+
+
+def _carried(request: Request) -> str:
+    """Give what the way to the device must carry for it, beside mail."""
+    begins = (m.fields.get("value") for m in request.messages if m.frame == "sdo_download_normal")
+    return "data_in_initiate" if any(begins) else ""
 
 
 def _states(model: Model, limits: Limits, known: ObjectEntry) -> dict[str, list[SendFrame]]:

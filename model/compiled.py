@@ -216,6 +216,12 @@ class Model:
             if path.endswith(".state")
         )
         """The machines whose state a register shows."""
+        self.open_gaps = frozenset(
+            rule.name
+            for rule in self._named.values()
+            if rule.gap and rule.name.machine in self.displayed
+        )
+        """The gaps of these machines: what rests on their state is open too."""
         self.words: dict[ObjectKey, Word] = {
             word.key: word
             for word in protocol.words.values()

@@ -295,8 +295,15 @@ class Oracle:
         return areas.pop() if len(areas) == 1 else None
 
     def certain_rules(self) -> frozenset[RuleName]:
-        """Give the rules that fired in every candidate's history."""
-        histories = [set(history) for history in self.candidates.values()]
+        """Give the rules that fired in every candidate's history.
+
+        What fired after something that the texts leave open is not sure.
+        """
+        gaps = self.model.open_gaps
+        histories = [
+            set(history[: next((n for n, rule in enumerate(history, 1) if rule in gaps), None)])
+            for history in self.candidates.values()
+        ]
         return frozenset(set.intersection(*histories)) if histories else frozenset()
 
     def choices(self) -> dict[str, str]:

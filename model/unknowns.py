@@ -31,9 +31,7 @@ def any_states(model: Model, choices: Mapping[str, str], kept: State | None) -> 
 
 def is_open(model: Model, taken: Step) -> bool:
     """Tell whether the texts leave open what the AL does: with it goes all that rests on it."""
-    return taken.unspecified and any(
-        rule.machine in model.displayed and model.named(rule).gap for rule in taken.rules
-    )
+    return taken.unspecified and not model.open_gaps.isdisjoint(taken.rules)
 
 
 @once

@@ -393,6 +393,10 @@ FOUND = {
     ("SDO-13", "sdo_download_response"): "local.py:113 the size of a truth value is not looked at",
     ("SDO-13", "sdo_download_segment_response"): "local.py:113 the same, by segments",
     ("SDO-15", "sdo_download_response"): "local.py:100 min and max are not looked at",
+    (
+        "SDO-15",
+        "sdo_download_segment_response",
+    ): "local.py:100 the same, by segments",
     ("SDO-17", "struct.error"): "server.py:188 an abort needs the index of an earlier request",
     ("SDO-18", "struct.error"): "server.py:188 the same, after server.py:91 without a buffer",
     ("SDO-18", "sdo_download_segment_response"): "server.py:160 nothing ends a download",

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import pytest
 from click.testing import CliRunner
 
-from ecatspec.conformance import cli, devices
+from ecatspec.conformance import cli
 from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.diff import devices as diff_devices
 from ecatspec.conformance.diff.behaviour import Grade, Sides, graded, product
 from ecatspec.conformance.diff.comparison import Comparison, compare
 from ecatspec.conformance.diff.devices import compare_devices
@@ -174,14 +175,14 @@ def test_a_wrong_witness_is_noticed() -> None:
 def test_a_wrong_rule_gives_the_differences_that_it_causes_and_no_others() -> None:
     sound = as_built(load_device("reference-drive"))
     chosen = [m for m in mutants(sound) if m.place.startswith(("al.", "ds402."))]
-    devices = Watched(sound)
-    plans = setups(devices.model)
-    own = {n: explored(devices, plans[n], plans[n].alphabet, {}) for n in (AL, DRIVE)}
+    right = Watched(sound)
+    plans = setups(right.model)
+    own = {n: explored(right, plans[n], plans[n].alphabet, {}) for n in (AL, DRIVE)}
     shown = 0
     for mutant in chosen[::97]:
         assert not compare_facts(Model(sound), Model(mutant.protocol), STANDARD).differences
         wrong = Watched(mutant.protocol)
-        sides = Sides((devices, wrong), ({}, {}))
+        sides = Sides((right, wrong), ({}, {}))
         name = AL if mutant.place.startswith("al.") else DRIVE
         pair = (own[name], explored(wrong, setups(wrong.model)[name], plans[name].alphabet, {}))
         for behaviour in sides.behaviours(pair, product(*pair), set()):
@@ -514,7 +515,7 @@ def test_two_devices_are_told_apart_by_the_same_stimuli(monkeypatch: pytest.Monk
         every = all_cases(own, limits, depth)
         return (case for case in every if case.name.startswith("sdo/transfer/"))
 
-    monkeypatch.setattr(devices, "all_cases", some)
+    monkeypatch.setattr(diff_devices, "all_cases", some)
     assert not compare_devices("reference", ("model", "model")).differences
     found = compare_devices("reference", ("model", "model:fault=toggle_ignored"))
     assert not found.left_out

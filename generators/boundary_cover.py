@@ -29,7 +29,7 @@ from ecatspec.generators.process_data import holds, image_size
 from ecatspec.generators.transfers import download
 from ecatspec.model.dictionary import encode_value
 from ecatspec.model.esc import PROCESS_DATA
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.subdevice import power_on
 from ecatspec.spec.language.scope import CYCLIC
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class _Player:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._power_on = VirtualSubDevice(model.protocol).state
+        self._power_on = power_on(model)
         names = {r.value: r.name for r in model.protocol.tables["al_state"].rows}
         self._states = names
 

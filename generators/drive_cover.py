@@ -24,7 +24,8 @@ from ecatspec.generators.play import play
 from ecatspec.generators.process_data import holds
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import encode_value
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.once import once
+from ecatspec.model.subdevice import VirtualSubDevice, power_on
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,17 +47,26 @@ _UP = ("shutdown", "switch_on", "enable_operation")
 """The commands that lead up."""
 
 
+def is_drive(model: Model) -> bool:
+    """Tell whether the device has the words of a drive."""
+    return {CONTROL, STATUS} <= {word.name for word in model.words.values()}
+
+
+@once
+def is_driven(model: Model) -> bool:
+    """Tell whether process data command the drive from power-on."""
+    ready = is_drive(model) and has_process_data(model)
+    return ready and holds(model, power_on(model), CONTROL)
+
+
 def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
     """Yield the cases of a device whose texts declare a control word."""
-    words = {word.name: word.key for word in model.words.values()}
-    if CONTROL not in words or STATUS not in words:
+    if not is_drive(model):
         return
     yield from _by_sdo(model)
-    if not has_process_data(model):
+    if not is_driven(model):
         return
     device = VirtualSubDevice(model.protocol)
-    if not holds(model, device.state, CONTROL):
-        return
     ways = _ways(model, device)
     for way in ways.values():
         for symbol in _symbols(model):

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import WAY_UP, request, way_to
 from ecatspec.generators.case import Case, Happen, Stimulus, WriteOutputs
-from ecatspec.generators.drive_cover import CONTROL, STATUS, commands
+from ecatspec.generators.drive_cover import CONTROL, STATUS, commands, is_driven
 from ecatspec.generators.play import play
-from ecatspec.generators.process_data import holds
 from ecatspec.generators.transfers import upload
 from ecatspec.model.subdevice import VirtualSubDevice
 
@@ -84,9 +83,7 @@ def _onwards(model: Model, state: str) -> Iterator[Stimulus]:
     yield from _look(model, WAY_UP[-1])
     op = model.row("al_state", WAY_UP[-1])
     yield request(op, acknowledge=True)
-    if CONTROL in model.protocol.words and holds(
-        model, VirtualSubDevice(model.protocol).state, CONTROL
-    ):
+    if is_driven(model):
         known = commands(model)
         for name in _AFTERWARDS:
             yield WriteOutputs({CONTROL: known[name]})

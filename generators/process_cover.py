@@ -18,7 +18,7 @@ from ecatspec.generators.case import (
 )
 from ecatspec.generators.process_data import image_size
 from ecatspec.model.esc import PROCESS_DATA
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.subdevice import power_on
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,8 +37,7 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
         yield _case(model, f"sync_lost/{state}", (Happen("al.sync_lost"),), state)
     if not has_process_data(model):
         return
-    power_on = VirtualSubDevice(model.protocol).state
-    used = [name for name in PROCESS_DATA if image_size(model, power_on, name)]
+    used = [name for name in PROCESS_DATA if image_size(model, power_on(model), name)]
     yield from _settings(model, used)
     if _OUTPUTS in used:
         yield from _way_to_op(model)

@@ -296,6 +296,12 @@ class VirtualSubDevice:
 
 
 @once
+def power_on(model: Model) -> State:
+    """Give the state in which a virtual SubDevice of these texts begins."""
+    return VirtualSubDevice(model.protocol).state
+
+
+@once
 def _presented(model: Model, state: State) -> tuple[tuple[tuple[str, int], ...], bytes | None]:
     """Give what the registers show and the inputs, None where they have no content."""
     environment = Environment(state.slots, state.known(), {})

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import Happen, SendFrame, StopOutputs, WriteOutputs
-from ecatspec.generators.drive_cover import CONTROL, STATUS, commands
+from ecatspec.generators.drive_cover import CONTROL, STATUS, commands, is_driven
 from ecatspec.generators.mailbox_cover import probe_entry
 from ecatspec.generators.play import AWHILE, play
-from ecatspec.generators.process_data import holds
 from ecatspec.generators.sdo_cover import is_written
 from ecatspec.generators.stimulus import frame_bytes
 from ecatspec.generators.transfers import (
@@ -34,7 +33,6 @@ from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.finite import explore
 from ecatspec.model.mealy import minimise
-from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, taken
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import bits_of
@@ -297,7 +295,7 @@ def drive_machine(
 
 def drive_setup(model: Model, events: Collection[str] = ALL_EVENTS) -> Setup | None:
     """Give what the machine of the drive is made of; None: the device has none in process data."""
-    if not _drives(model):
+    if not is_driven(model):
         return None
     return Setup("DS402", way_to(model, "OP"), _drive_alphabet(model, events), _DRIVE)
 
@@ -321,7 +319,7 @@ def al_drive_machine(
 
 def al_drive_setup(model: Model, events: Collection[str] = ALL_EVENTS) -> Setup | None:
     """Give what the machine of AL and drive is made of; None: the device is no drive."""
-    if not _drives(model):
+    if not is_driven(model):
         return None
     whole = _drive_alphabet(model, events)
     alphabet = {name: own for name, own in whole.items() if name in _TOGETHER}
@@ -380,13 +378,6 @@ def _abstraction(
     driven = Driven(model, setup.prelude, setup.alphabet, looks, setup.slots, choices, device)
     found = minimise(explore(driven, tuple(driven.alphabet)))
     return Abstraction(setup.name, found.machine, driven.prelude, driven.alphabet, found.merged)
-
-
-@once
-def _drives(model: Model) -> bool:
-    if not {CONTROL, STATUS} <= {word.name for word in model.words.values()}:
-        return False
-    return has_process_data(model) and holds(model, VirtualSubDevice(model.protocol).state, CONTROL)
 
 
 def _drive_alphabet(model: Model, events: Collection[str]) -> Alphabet:

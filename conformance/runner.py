@@ -33,7 +33,7 @@ from ecatspec.generators.suite import all_cases
 from ecatspec.generators.token import PREFIX, case_of, check, token_of
 from ecatspec.generators.walks import walk
 from ecatspec.model.compiled import Model
-from ecatspec.model.interpreter import rule_clauses
+from ecatspec.model.interpreter import rests_on, rule_clauses
 from ecatspec.model.oracle import Oracle
 from ecatspec.spec.language.ir import Level
 
@@ -79,6 +79,10 @@ class Runner:
         self.session.oracle.raised = description.locals
         self.configured: dict[ObjectKey, bytes] | None = None
         """What was assigned and mapped at power-on, as far as it was read; None: not read yet."""
+        self.untold: set[str] = set()
+        """Choices that the device met, and nothing told which way it went."""
+        self.believed: dict[str, str] = {}
+        """The ways at these that a complete suite takes the device to go."""
 
     def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases in order; a case of a layer that is not the device's own is skipped."""
@@ -88,7 +92,7 @@ class Runner:
             verdict = self.judge(case)
             # where the device was not reached the oracle still knows the case before
             untried = verdict.outcome in {Outcome.SKIPPED, Outcome.ERROR}
-            certain = () if untried else self.session.oracle.certain_rules()
+            certain = () if untried else self._certain_rules()
             rules = tuple(sorted(map(str, certain)))
             self.verdicts.append(replace(verdict, flag=case.flag, rules=rules))
 
@@ -135,23 +139,39 @@ class Runner:
             if suite.layer not in self.description.protocols:
                 continue
             before = len(self.verdicts)
+            unsure = self.untold - self.choices.keys()
+            self.believed = {n: way for n, way in suite.assumed.items() if n in unsure}
+            doubted = set(self.believed)
             self.run_long(suite.cases(), progress, suite.suite.tests)
+            doubted -= self.believed.keys()
+            self.believed = {}
             outcomes = Counter(v.outcome for v in self.verdicts[before:])
-            promises.append(f"{suite.guarantee()}; {self._worth(outcomes, suite)}")
+            promises.append(f"{suite.guarantee()}; {self._worth(outcomes, suite, doubted)}")
         return promises
 
-    def _worth(self, outcomes: Counter[Outcome], suite: Complete) -> str:
-        """Say whether a suite keeps what it promises."""
+    def _worth(self, outcomes: Counter[Outcome], suite: Complete, doubted: set[str]) -> str:
+        """Say whether a suite keeps what it promises; at some of `doubted` another way was gone."""
         if bad := {o: n for o, n in outcomes.items() if o is not Outcome.PASS}:
             counts = ", ".join(f"{count} {outcome.value}" for outcome, count in bad.items())
             return f"promises nothing: {counts}"
-        odd = [name for name, way in suite.assumed.items() if self.choices.get(name, way) != way]
-        if odd:
-            return f"promises nothing: the device goes another way at {', '.join(sorted(odd))}"
+        odd = {name for name, way in suite.assumed.items() if self.choices.get(name, way) != way}
+        if odd or doubted:
+            ways = ", ".join(sorted(odd or doubted))
+            return f"promises nothing: the device goes another way at {ways}"
         return "passed"
 
     def judge(self, case: Case) -> Verdict:
-        """Run one case from power-on."""
+        """Run one case from power-on; what is only believed of the device blames nobody."""
+        if untried := self._untried(case):
+            return untried
+        verdict = self._judge(case)
+        if verdict.outcome in BLAMING and self.believed:
+            self.believed = {}
+            verdict = self._judge(case)
+        return verdict
+
+    def _untried(self, case: Case) -> Verdict | None:
+        """Give the verdict of a case that the way to the device cannot carry."""
         if case.layer not in self.description.protocols:
             reason = f"{case.layer} is not the device's own: {self.description.name} supplies "
             reason += ", ".join(sorted(self.description.protocols))
@@ -163,9 +183,12 @@ class Runner:
         if missing := sorted(raised - self.description.locals):
             reason = f"{self.description.name} cannot raise {', '.join(missing)}"
             return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
+        return None
+
+    def _judge(self, case: Case) -> Verdict:
         self.session.trace = []
         try:
-            self.session.begin(self.choices, self.configuration())
+            self.session.begin(self.choices | self.believed, self.configuration())
             for position, stimulus in enumerate(case.stimuli):
                 if position == case.prelude and case.needs is not None:
                     states = self.session.oracle.al_states()
@@ -184,16 +207,26 @@ class Runner:
         finally:
             if any(self._configures(stimulus) for stimulus in case.stimuli):
                 self.configured = None
-        for line in self.session.trace:
-            if line.who == "reason":
-                self.refusals.setdefault(line.what, case.name)
         oracle = self.session.oracle
-        self.rules |= oracle.certain_rules()
-        self.choices |= oracle.choices()
+        self.rules |= self._certain_rules()
+        if not self.believed:
+            for line in self.session.trace:
+                if line.who == "reason":
+                    self.refusals.setdefault(line.what, case.name)
+            self.choices |= oracle.choices()
+            self.untold |= oracle.untold()
         if surprises := oracle.surprises():
             reason = f"{' or '.join(surprises)} befell the device while it was tested"
             return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
         return Verdict(case.name, Outcome.PASS, case.title)
+
+    def _certain_rules(self) -> frozenset[RuleName]:
+        """Give the rules that fired for sure, none that rests on what is only believed."""
+        return frozenset(
+            rule
+            for rule in self.session.oracle.certain_rules()
+            if self.believed.keys().isdisjoint(rests_on(self.model, rule))
+        )
 
     def configuration(self) -> dict[ObjectKey, bytes]:
         """Give what the device has assigned and mapped at power-on; read it where it may differ.

@@ -319,7 +319,7 @@ class Session:
                     for view in self.model.views[name]
                 }
                 self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
-        told = self.oracle.reasons()
+        told = self.oracle.reasons() if name == "al_status" else ()
         exchange = self._exchange(register.address, data, counter)
         if demanded and not counter:
             mismatch = self.oracle.unreadable(name, exchange)

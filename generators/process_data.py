@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.case import WriteRegister, WriteRegisters
 from ecatspec.model.esc import AREAS, DIRECTIONS, PROCESS_DATA
-from ecatspec.model.evaluate import Environment
 from ecatspec.model.process_image import INPUTS, OUTPUTS, placed
+from ecatspec.model.shown import layout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,8 +22,8 @@ _ASSIGNMENTS = dict(zip(PROCESS_DATA, (OUTPUTS, INPUTS), strict=True))
 
 def image_size(model: Model, state: State, sync_manager: str) -> int | None:
     """Give the bytes that the objects of a state assign to a SyncManager; None: not known."""
-    layout = model.image.layout(_environment(state), _ASSIGNMENTS[sync_manager])
-    return None if layout is None else -(-sum(part.bits for part in layout) // _BYTE)
+    mapped = layout(model, state, _ASSIGNMENTS[sync_manager])
+    return None if mapped is None else -(-sum(part.bits for part in mapped) // _BYTE)
 
 
 def settings(model: Model, state: State, wanted: SetUpProcessData) -> tuple[WriteRegisters, ...]:
@@ -57,22 +57,18 @@ def settings(model: Model, state: State, wanted: SetUpProcessData) -> tuple[Writ
 
 def image(model: Model, state: State, words: Mapping[str, int]) -> bytes | None:
     """Give the outputs that hold these words; None where their layout is not known, or none."""
-    layout = model.image.layout(_environment(state), OUTPUTS)
-    if not layout:
+    mapped = layout(model, state, OUTPUTS)
+    if not mapped:
         return None
     keys = {model.protocol.words[name].key: value for name, value in words.items()}
     content = 0
-    for part in layout:
+    for part in mapped:
         if part.key in keys:
             content = placed(content, part, keys[part.key])
-    return content.to_bytes(-(-sum(part.bits for part in layout) // _BYTE), "little")
+    return content.to_bytes(-(-sum(part.bits for part in mapped) // _BYTE), "little")
 
 
 def holds(model: Model, state: State, word: str) -> bool:
     """Tell whether the outputs hold a word."""
-    layout = model.image.layout(_environment(state), OUTPUTS)
-    return any(part.key == model.protocol.words[word].key for part in layout or ())
-
-
-def _environment(state: State) -> Environment:
-    return Environment(state.slots, state.known(), {})
+    mapped = layout(model, state, OUTPUTS) or ()
+    return any(part.key == model.protocol.words[word].key for part in mapped)

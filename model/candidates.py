@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -40,6 +40,15 @@ class Pending:
     timer: bool = False
     optional: bool = False
     """It may have been served already, when too much was possible to follow."""
+    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
+
+    def __hash__(self) -> int:
+        """Give the hash of what tells inputs apart, worked out once."""
+        value = self._hash
+        if value is None:
+            value = hash((self.event, self.deadline, self.since, self.timer))
+            object.__setattr__(self, "_hash", value)
+        return value
 
     def target(self) -> tuple[str, str]:
         """Give the machine and the input."""
@@ -72,10 +81,25 @@ class Candidate:
     last: bytes | None = None
     befell: tuple[str, ...] = ()
     """What befell the device without anybody having raised it."""
+    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
+
+    def __hash__(self) -> int:
+        """Give the hash of what mostly tells explanations apart, worked out once."""
+        value = self._hash
+        if value is None:
+            value = hash((self.state, self.inbox, self.outbox, self.ready))
+            object.__setattr__(self, "_hash", value)
+        return value
 
     def having(self, state: State) -> Candidate:
         """Give the explanation with another state."""
         return self if state is self.state else replace(self, state=state)
+
+    def expecting(self, inbox: tuple[Pending, ...]) -> Candidate:
+        """Give the explanation with other inputs to serve."""
+        return Candidate(
+            self.state, inbox, self.outbox, self.loose, self.ready, self.last, self.befell
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,7 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from ecatspec.model.codec import Message
     from ecatspec.model.values import ObjectKey
@@ -628,6 +628,16 @@ def _present(value: Value | None) -> Value:
 def rows_of(machine: Machine) -> tuple[Rule | Gap, ...]:
     """Give the rules and the gaps of a machine."""
     return (*machine.rules, *machine.gaps)
+
+
+def paths_in(protocol: Protocol, expression: Expression) -> Iterator[str]:
+    """Yield the names of an expression and of the definitions that it uses."""
+    for path in names_in(expression):
+        definition = protocol.definitions.get(path)
+        if definition is None:
+            yield path
+        else:
+            yield from paths_in(protocol, definition.value)
 
 
 def name_hints(protocol: Protocol, expression: Expression, scope: Scope) -> dict[int, Kind]:

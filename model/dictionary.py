@@ -46,9 +46,9 @@ class ObjectDictionary:
         for index, subindex in self.entries:
             self._highest[index] = max(self._highest.get(index, 0), subindex)
         self.functions: dict[str, Function] = {
-            "declared": lambda _, a: (a[0], a[1]) in self.entries,
-            "object_exists": lambda _, a: a[0] in self._highest,
-            "is_plain_variable": lambda _, a: self._highest.get(_number(a[0])) == 0,
+            "declared": _of_known(lambda _, a: (a[0], a[1]) in self.entries),
+            "object_exists": _of_known(lambda _, a: a[0] in self._highest),
+            "is_plain_variable": _of_known(lambda _, a: self._highest.get(_number(a[0])) == 0),
             "dictionary_closed": lambda _, __: self.closed,
             "in_work": lambda e, _: e.parameters.get(CROWDED, False),
             "readable": self._of_entry(lambda e, _, __: e.access is not Access.WRITE),
@@ -72,14 +72,18 @@ class ObjectDictionary:
             "in_range": self._of_entry(lambda e, _, a: _compare(e, a[2]) == 0),
             "too_high": self._of_entry(lambda e, _, a: _compare(e, a[2]) > 0),
             "too_low": self._of_entry(lambda e, _, a: _compare(e, a[2]) < 0),
-            "complete_size": lambda _, a: self._complete_size(_number(a[0]), _number(a[1])),
-            "complete_value": self._complete_value,
-            "complete_in_range": lambda _, a: self._complete_in_range(*a),
-            "complete_readable": self._complete_readable,
-            "complete_writable": self._complete_writable,
-            "object_list": lambda _, a: self._object_list(_number(a[0])),
-            "object_code_of": lambda _, a: self._object_code(_number(a[0])),
-            "highest_subindex": lambda _, a: self._told(self._highest.get(_number(a[0]), 0)),
+            "complete_size": _of_known(
+                lambda _, a: self._complete_size(_number(a[0]), _number(a[1]))
+            ),
+            "complete_value": _of_known(self._complete_value),
+            "complete_in_range": _of_known(lambda _, a: self._complete_in_range(*a)),
+            "complete_readable": _of_known(self._complete_readable),
+            "complete_writable": _of_known(self._complete_writable),
+            "object_list": _of_known(lambda _, a: self._object_list(_number(a[0]))),
+            "object_code_of": _of_known(lambda _, a: self._object_code(_number(a[0]))),
+            "highest_subindex": _of_known(
+                lambda _, a: self._told(self._highest.get(_number(a[0]), 0))
+            ),
             "data_type_of": self._of_entry(lambda e, _, __: self._told(self._types[type_name(e)])),
             "bit_length_of": self._of_entry(lambda e, _, __: self._bit_length(e)),
         }
@@ -94,13 +98,10 @@ class ObjectDictionary:
 
     def _of_entry(self, test: _Test) -> Function:
         def function(environment: Environment, arguments: tuple[Value, ...]) -> Value:
-            index, subindex = arguments[0], arguments[1]
-            if isinstance(index, Pattern) or isinstance(subindex, Pattern):
-                return UNKNOWN
-            entry = self.entries.get((_number(index), _number(subindex)))
+            entry = self.entries.get((_number(arguments[0]), _number(arguments[1])))
             return UNKNOWN if entry is None else test(entry, environment, arguments)
 
-        return function
+        return _of_known(function)
 
     def _told(self, value: int) -> Value:
         """What a device tells of an object; one with objects of its own may know better."""
@@ -291,6 +292,17 @@ CROWDED = "request in work"
 
 def _rows(protocol: Protocol, table: str) -> dict[str, int]:
     return {row.name: row.value for row in protocol.tables[table].rows}
+
+
+def _of_known(function: Function) -> Function:
+    """Give the same function, whose answer is unknown where it is not known of what object."""
+
+    def ask(environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        if any(isinstance(place, Pattern) for place in arguments[:2]):
+            return UNKNOWN
+        return function(environment, arguments)
+
+    return ask
 
 
 def _number(value: Value) -> int:

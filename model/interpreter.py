@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.model.compiled import rows_of
+from ecatspec.model.compiled import paths_in, rows_of
 from ecatspec.model.evaluate import Environment, before
 from ecatspec.model.once import once
 from ecatspec.model.process_image import OUTPUTS, taken
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ecatspec.model.compiled import CompiledRule, Model, Timer
     from ecatspec.model.evaluate import Getter
     from ecatspec.model.values import ObjectKey
-    from ecatspec.spec.language.ir import RegisterField
+    from ecatspec.spec.language.ir import Gap, RegisterField, Rule
 
 DELIVER, RESEND = "deliver", "resend"
 _BYTE = 8
@@ -382,7 +382,18 @@ def expected_fields(model: Model, state: State, output: Output) -> dict[str, Val
 
 def rule_clauses(model: Model, rule: RuleName) -> tuple[str, ...]:
     """Give the clauses that a rule or gap cites."""
-    for row in rows_of(model.protocol.machines[rule.machine]):
-        if row.name == rule.name:
-            return row.clauses
-    return ()
+    row = _row(model, rule)
+    return () if row is None else row.clauses
+
+
+def rests_on(model: Model, rule: RuleName) -> frozenset[str]:
+    """Give the names on which it depends whether a rule or gap holds."""
+    row = _row(model, rule)
+    guard = None if row is None else row.guard
+    return frozenset(() if guard is None else paths_in(model.protocol, guard))
+
+
+@once
+def _row(model: Model, rule: RuleName) -> Rule | Gap | None:
+    rows = rows_of(model.protocol.machines[rule.machine])
+    return next((row for row in rows if row.name == rule.name), None)

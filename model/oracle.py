@@ -19,9 +19,9 @@ from ecatspec.model.candidates import (
     with_alarms,
 )
 from ecatspec.model.compiled import MAILBOX
-from ecatspec.model.dictionary import CROWDED
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
+from ecatspec.model.feeding import fed, widened
 from ecatspec.model.interpreter import (
     afterwards,
     differing,
@@ -34,6 +34,7 @@ from ecatspec.model.interpreter import (
     step,
 )
 from ecatspec.model.once import once
+from ecatspec.model.serving import Grown, grown, is_alive, is_idle, served
 from ecatspec.model.shown import (
     decided,
     definitely,
@@ -48,7 +49,7 @@ from ecatspec.model.shown import (
     words_in,
 )
 from ecatspec.model.state import Event, Output, RuleName, State
-from ecatspec.model.unknowns import after_open, any_states, is_open
+from ecatspec.model.unknowns import any_states, is_open
 from ecatspec.model.values import UNKNOWN, Value, is_any
 from ecatspec.model.words import fields_words, message_words, reason_words, register_words
 from ecatspec.spec.language.ir import Access
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
+    from ecatspec.model.serving import Explanations
     from ecatspec.model.state import Step
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Register, Word
@@ -66,11 +68,6 @@ if TYPE_CHECKING:
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
 MANAGERS = (*SYNC_MANAGERS, *PROCESS_DATA)
-REFUSAL = "mailbox_error"
-"""The frame that may overtake an answer: the request came while another was in work."""
-HELD = ("process_data.fed", "process_data.image")
-"""The variables that tell whether outputs are those that the device had last."""
-_LIMIT = 256
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
 
@@ -80,8 +77,7 @@ class Oracle:
     """The set of candidates for one device and its history of rules."""
 
     model: Model
-    candidates: dict[Candidate, tuple[RuleName, ...]] = field(default_factory=dict)
-    unspecified: bool = False
+    candidates: Explanations = field(default_factory=dict)
     written: int = 0
     """When the MainDevice last wrote what the device may still be busy with."""
     raised: frozenset[str] = frozenset()
@@ -89,6 +85,8 @@ class Oracle:
     _outputs: tuple[Event, ...] = ()
     _suspicion: Mismatch | None = None
     """The first observation since a request that only an accident explains."""
+    _grown: Grown | None = None
+    """What the candidates grew to when they were looked at last."""
 
     # --- beginnings -------------------------------------------------------------------------------
 
@@ -108,7 +106,6 @@ class Oracle:
             state = state.having(self.model.slots[f"choice {name}"], alternative)
         self.candidates = {Candidate(state): ()}
         self._suspicion = None
-        self.unspecified = False
         self.written = 0
 
     def unknown(self, *, keep: bool = False) -> None:
@@ -179,13 +176,7 @@ class Oracle:
             for pending in candidate.inbox
             if pending.since <= time
             and not pending.optional
-            and not (
-                pending.timer
-                and all(
-                    taken.state == candidate.state and not taken.outputs and not taken.alarms
-                    for taken in step(self.model, candidate.state, pending.event)
-                )
-            )
+            and not (pending.timer and is_idle(self.model, candidate.state, pending.event))
         ]
 
     def may_be(self, machine: str, state: str) -> bool:
@@ -222,7 +213,7 @@ class Oracle:
         """Give why the device refused what it was asked last, as far as all explanations agree."""
         return self._reasons(self.candidates)
 
-    def _reasons(self, candidates: dict[Candidate, tuple[RuleName, ...]]) -> tuple[str, ...]:
+    def _reasons(self, candidates: Explanations) -> tuple[str, ...]:
         (first, rules), *others = candidates.items()
         return tuple(
             text
@@ -264,23 +255,26 @@ class Oracle:
         area = self.area(MAIN_IN)
         if area is None or not address < area[0] + area[1] <= address + length:
             return
+        after = dict(self.candidates)
         for candidate, history in self._expanded(-1).items():
-            self.candidates.setdefault(candidate, history)
+            after.setdefault(candidate, history)
             if candidate.outbox:
                 # the reply is gone, and with it what its fields would have told
                 due, *rest = candidate.outbox
                 for taken in afterwards(self.model, candidate.state, due, {}):
                     left = replace(self._left(candidate, taken, tuple(rest), 0), last=None)
-                    self.candidates.setdefault(left, history + taken.rules)
+                    after.setdefault(left, history + taken.rules)
+        self.candidates = after
 
     def perhaps_written(self, exchange: Exchange) -> None:
         """Take it that the MainDevice may have written here; but for outputs nothing is known."""
         if not self._concerned(DATA_OUT, exchange):
             self.unknown()
             return
-        for candidate, history in self._expanded(exchange.time).items():
-            self.candidates.setdefault(candidate, history)
-            self._add(self.candidates, self._fed(candidate, exchange), history)
+        outputs = self._outputs_of(exchange.data)
+        unfed = list(self._expanded(exchange.time).items())
+        with_them = [(fed(self.model, c, outputs, exchange.time), h) for c, h in unfed]
+        self.candidates = widened((*self.candidates.items(), *unfed, *with_them))
 
     def forget_history(self) -> None:
         """Keep the last rule of each machine, and no accidents: some runs have no end."""
@@ -308,16 +302,17 @@ class Oracle:
 
     def choices(self) -> dict[str, str]:
         """Give the choices on which all candidates agree."""
-        found = {}
-        for name in self.model.protocol.choices:
-            value = self._agreed(self.model.slots[f"choice {name}"])
-            if isinstance(value, str):
-                found[name] = value
-        return found
+        ways = ((name, self._ways(name)) for name in self.model.protocol.choices)
+        return {name: str(found.pop()) for name, found in ways if len(found) == 1 and all(found)}
 
-    def _agreed(self, slot: int) -> Value | None:
-        values = {candidate.state.slots[slot] for candidate in self.candidates}
-        return values.pop() if len(values) == 1 else None
+    def untold(self) -> frozenset[str]:
+        """Give the choices that the device had to make, and nothing told how it did."""
+        names = self.model.protocol.choices
+        return frozenset(name for name in names if len(self._ways(name) - {None}) > 1)
+
+    def _ways(self, choice: str) -> set[Value | None]:
+        slot = self.model.slots[f"choice {choice}"]
+        return {candidate.state.slots[slot] for candidate in self.candidates}
 
     def most(self, slot: str) -> int:
         """Give the greatest number that a variable may hold, 0 where it is not known."""
@@ -359,7 +354,7 @@ class Oracle:
             if source.kind == "write" and any(r.name in source.origin for r in touched)
         ]
         glances = _glances(self.model, *exchange.span())
-        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        after: Explanations = {}
         for candidate, history in self._expanded(exchange.time).items():
             state = candidate.state
             parameters: dict[str, Value] = {}
@@ -410,8 +405,8 @@ class Oracle:
         within = max(taken.within for taken in steps)
         if any(is_open(self.model, taken) for taken in steps):
             within = max(within, self.model.parameter("settle_time"))
-        idle = all(s.state == state and not s.outputs and not s.alarms for s in steps)
-        return None if idle and not within else Pending(event, time + within, within, time)
+        idle = not within and is_idle(self.model, state, event)
+        return None if idle else Pending(event, time + within, within, time)
 
     def _merged(self, register: Register, before: Value | None, exchange: Exchange) -> Value:
         covered = range(
@@ -435,23 +430,25 @@ class Oracle:
     def _write_outputs(self, exchange: Exchange) -> Mismatch | None:
         if not self._concerned(DATA_OUT, exchange):
             return None
-        after: dict[Candidate, tuple[RuleName, ...]] = {}
-        refused: dict[Candidate, tuple[RuleName, ...]] = {}
+        after: list[tuple[Candidate, tuple[RuleName, ...]]] = []
+        refused: Explanations = {}
+        outputs = self._outputs_of(exchange.data)
         for candidate, history in self._expanded(exchange.time).items():
             if process_area(self.model, candidate.state, DATA_OUT) != exchange.span():
-                after[candidate] = history
+                after.append((candidate, history))
             elif exchange.working_counter:
-                self._add(after, self._fed(candidate, exchange), history)
+                after.append((fed(self.model, candidate, outputs, exchange.time), history))
+            elif self._demanded(candidate, "outputs_demanded"):
+                refused[candidate] = history
             else:
-                demanded = self._demanded(candidate, "outputs_demanded")
-                (refused if demanded else after)[candidate] = history
+                after.append((candidate, history))
         if not after:
             expected = ("the device takes the outputs",)
             rules = _last(refused, {"process_data", "al"})
             clauses = self.model.protocol.definitions["outputs_demanded"].clauses
             observed = "refused: working counter 0"
             return self._mismatch(exchange, "outputs", expected, observed, rules, clauses)
-        self.candidates = after
+        self.candidates = widened(after)
         return None
 
     def _outputs_of(self, image: bytes) -> tuple[Event, ...]:
@@ -462,58 +459,6 @@ class Oracle:
             )
         return self._outputs
 
-    def _fed(self, candidate: Candidate, exchange: Exchange) -> Candidate:
-        """Give the explanation in which the device has these outputs; they replace older ones."""
-        for event in self._outputs_of(exchange.data):
-            own = (event.machine, event.input)
-            rest = tuple(p for p in candidate.inbox if p.target() != own)
-            steps = step(self.model, candidate.state, event)
-            within = max(taken.within for taken in steps)
-            until = exchange.time + within
-            held = {name: candidate.state.slots[self.model.slots[name]] for name in HELD}
-            same = held == dict(zip(HELD, (True, exchange.data), strict=True)) and all(
-                self._same_words(candidate.state, taken.state) for taken in steps
-            )
-            if same or all(taken.state == candidate.state for taken in steps):
-                # the same outputs once more: only what they put off has news of them
-                inbox = with_alarms(rest, steps[0], exchange.time, until)
-            else:
-                # the device looks by then, at these outputs or at those before
-                old = [p.deadline for p in candidate.inbox if p.target() == own]
-                inbox = (*rest, Pending(event, min(old, default=until), within, exchange.time))
-            candidate = replace(candidate, inbox=inbox)
-        return candidate
-
-    def _same_words(self, before: State, after: State) -> bool:
-        """Tell whether all words are what they were; an SDO may have written them meanwhile."""
-        return all(
-            before.slots[slot] == after.slots[slot]
-            for word in self.model.words.values()
-            for slot in (self.model.slots[f"word {word.name}"],)
-        )
-
-    @staticmethod
-    def _add(
-        found: dict[Candidate, tuple[RuleName, ...]],
-        candidate: Candidate,
-        history: tuple[RuleName, ...],
-    ) -> None:
-        """Add an explanation; one that differs in times only is widened to hold both."""
-        for other, known in found.items():
-            if len(other.inbox) != len(candidate.inbox) or other.state != candidate.state:
-                continue
-            wide = tuple(
-                replace(a, deadline=max(a.deadline, b.deadline), since=min(a.since, b.since))
-                for a, b in zip(candidate.inbox, other.inbox, strict=True)
-                if a.event == b.event and a.timer == b.timer
-            )
-            both = replace(candidate, inbox=wide)
-            if len(wide) == len(other.inbox) and both == replace(other, inbox=wide):
-                del found[other]
-                found[both] = known
-                return
-        found[candidate] = history
-
     def _demanded(self, candidate: Candidate, definition: str) -> bool:
         """Tell whether the texts demand it of a device that has nothing else to do."""
         if any(not pending.timer for pending in candidate.inbox):
@@ -523,8 +468,11 @@ class Oracle:
         return self.model.definition(definition)(environment) is True
 
     def _write_mailbox(self, exchange: Exchange) -> Mismatch | None:
-        after: dict[Candidate, tuple[RuleName, ...]] = {}
-        refused: dict[Candidate, tuple[RuleName, ...]] = {}
+        areas = {mailbox_area(self.model, c.state, MAIN_OUT) for c in self.candidates}
+        if not any(area and _covers_end(area, exchange) for area in areas):
+            return None
+        after: Explanations = {}
+        refused: Explanations = {}
         concerned = False
         patience = self.model.parameter("request_timeout")
         recent = exchange.time - self.written <= patience
@@ -578,7 +526,7 @@ class Oracle:
         # what was taken for an accident at first was the deviation
         return self._suspicion if self._suspicion and self.surprises() else mismatch
 
-    def _befallen(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
+    def _befallen(self, time: int) -> Explanations:
         """Give the explanations in which something happened by itself, and those before."""
         found = dict(self._expanded(time))
         for candidate, history in list(found.items()):
@@ -590,7 +538,7 @@ class Oracle:
                 if event in self.model.own:
                     befell = candidate
                 pending = Pending(event, time, since=time)
-                for left, rules in self._served(befell, pending, candidate.inbox, ()):
+                for left, rules in served(self.model, befell, pending, candidate.inbox):
                     if rules and left.state != candidate.state:
                         found.setdefault(left, history + rules)
         return found
@@ -617,12 +565,12 @@ class Oracle:
         if not views:
             return None
         before = self._expanded(exchange.time)
-        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        after: Explanations = {}
         for candidate, history in before.items():
             for state in seen(self.model, register.name, candidate.state, raw):
                 after.setdefault(candidate.having(state), history)
         if after:
-            self.candidates = after
+            self.candidates = _kept(before, after)
             return None
         expected = {
             register_words(
@@ -645,10 +593,11 @@ class Oracle:
     def _read_inputs(self, exchange: Exchange) -> Mismatch | None:
         if not self._concerned(DATA_IN, exchange):
             return None
-        after: dict[Candidate, tuple[RuleName, ...]] = {}
-        wrong: dict[Candidate, tuple[RuleName, ...]] = {}
+        after: Explanations = {}
+        wrong: Explanations = {}
         words: dict[str, Word] = {}
-        for candidate, history in self._expanded(exchange.time).items():
+        before = self._expanded(exchange.time)
+        for candidate, history in before.items():
             if process_area(self.model, candidate.state, DATA_IN) != exchange.span():
                 after[candidate] = history
             elif exchange.working_counter and not self._keeps_inputs(candidate.state):
@@ -662,7 +611,7 @@ class Oracle:
                 demanded = self._demanded(candidate, "inputs_demanded")
                 (wrong if demanded else after)[candidate] = history
         if after:
-            self.candidates = after
+            self.candidates = _kept(before, after)
             return None
         if not exchange.working_counter:
             rules = _last(wrong, {"process_data", "al"})
@@ -703,7 +652,7 @@ class Oracle:
             )
         }
         if after:
-            self.candidates = after
+            self.candidates = _kept(before, after)
             return None
         observed = "mailbox full" if full else "mailbox empty: no reply"
         due = [candidate.outbox[0] for candidate in before if candidate.outbox]
@@ -736,7 +685,7 @@ class Oracle:
         data = data[: area[1]]
         message = self.model.decode(data)
         before = self._expanded(exchange.time)
-        after: dict[Candidate, tuple[RuleName, ...]] = {}
+        after: Explanations = {}
         for candidate, history in before.items():
             if message is not None and self._absent(candidate.state):
                 continue
@@ -808,9 +757,7 @@ class Oracle:
             )
         return replace(candidate, state=state, inbox=inbox, outbox=outbox, ready=ready)
 
-    def _expected_replies(
-        self, candidates: dict[Candidate, tuple[RuleName, ...]]
-    ) -> tuple[str, ...]:
+    def _expected_replies(self, candidates: Explanations) -> tuple[str, ...]:
         expected: dict[str, None] = {}
         for candidate in candidates:
             if candidate.outbox:
@@ -825,101 +772,29 @@ class Oracle:
 
     # --- helpers ----------------------------------------------------------------------------------
 
-    def _expanded(self, time: int) -> dict[Candidate, tuple[RuleName, ...]]:
+    def _expanded(self, time: int) -> Explanations:
         """Give all candidates, with inputs served or, until their deadline, not yet."""
-        if all(0 <= time < p.since for candidate in self.candidates for p in candidate.inbox):
-            # nothing may be served yet; in the order in which the work below leaves them
-            return dict(reversed(self.candidates.items()))
-        found: dict[Candidate, tuple[RuleName, ...]] = {}
-        work = list(self.candidates.items())
-        while work:
-            if len(found) > _LIMIT:
-                # too many explanations to follow: nothing is known, so nobody is blamed
-                inputs = {
-                    (*pending.target(), pending.deadline): replace(pending, optional=True)
-                    for candidate in self.candidates
-                    for pending in candidate.inbox
-                }
-                self.unknown(keep=True)
-                self.candidates = {
-                    replace(candidate, inbox=tuple(inputs.values())): ()
-                    for candidate in self.candidates
-                }
-                return dict(self.candidates)
-            candidate, history = work.pop()
-            if any(p.optional and p.deadline < time for p in candidate.inbox):
-                late = tuple(p for p in candidate.inbox if not p.optional or p.deadline >= time)
-                candidate = replace(candidate, inbox=late)
-            if candidate in found:
-                continue
-            if not any(
-                pending.deadline < time
-                and not pending.optional
-                and not (candidate.outbox and pending.event.trail)
+        if self._grown is not None and self._grown.of(self.candidates, time):
+            return self._grown.found
+        found = grown(self.model, self.candidates, time)
+        if found is None:
+            # too many explanations to follow: nothing is known, so nobody is blamed
+            inputs = {
+                (*pending.target(), pending.deadline): replace(pending, optional=True)
+                for candidate in self.candidates
                 for pending in candidate.inbox
-            ):
-                found[candidate] = history
-            first: set[tuple[str, bool]] = set()
-            for position, pending in enumerate(candidate.inbox):
-                # a message waits for the answer before it, a register does not
-                lane = pending.event.machine, bool(pending.event.trail)
-                if (not pending.timer and lane in first) or 0 <= time < pending.since:
-                    continue
-                if not pending.timer and not pending.optional:
-                    first.add(lane)  # what may never have come holds nothing up
-                rest = candidate.inbox[:position] + candidate.inbox[position + 1 :]
-                work += self._served(candidate, pending, rest, history)
-        return found
-
-    def _served(
-        self,
-        candidate: Candidate,
-        pending: Pending,
-        rest: tuple[Pending, ...],
-        history: tuple[RuleName, ...],
-    ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
-        event = pending.event
-        was_alive = self._alive(candidate.state)
-        mail = bool(event.trail)
-        served = []
-        for taken in step(self.model, candidate.state, event):
-            due = tuple(replace(output, chain=taken.rules) for output in taken.outputs)
-            outbox = candidate.outbox + due
-            if mail and candidate.outbox:
-                # a device answers in order, but it may refuse at once what comes too early
-                if not taken.outputs or not event.parameters.get(CROWDED):
-                    continue
-                if due[0].frame != REFUSAL:
-                    continue
-                outbox = due + candidate.outbox
-            if taken.resend is not None:
-                again = Output(
-                    MAILBOX, (), taken.resend, again=candidate.last or b"", chain=(taken.resend,)
-                )
-                outbox = (again, *outbox)
-            loose, last = candidate.loose, candidate.last
-            if mail and taken.unspecified:
-                loose = max(loose, Loose.ONE)
-            alive = self._alive(taken.state)
-            if alive != was_alive:
-                outbox, loose, last = (), Loose.NONE if alive else Loose.ALL, None
-            if mail and not taken.unspecified and not candidate.outbox:
-                loose = Loose.NONE
-            inbox = with_alarms(rest, taken, pending.since, pending.deadline)
-            after = Candidate(
-                taken.state, inbox, outbox, loose, candidate.ready, last, candidate.befell
-            )
-            self.unspecified = self.unspecified or taken.unspecified
-            ways = [after]
-            if is_open(self.model, taken):
-                ways = [
-                    Candidate(s, rest, loose=Loose.ALL) for s in after_open(self.model, taken.state)
-                ]
-            served += [(way, history + taken.rules) for way in ways]
-        return served
+            }
+            self.unknown(keep=True)
+            self.candidates = {
+                replace(candidate, inbox=tuple(inputs.values())): ()
+                for candidate in self.candidates
+            }
+            return self.candidates
+        self._grown = found if time >= 0 else None
+        return found.found
 
     def _alive(self, state: State) -> bool:
-        return definitely(self.model, state, "mailbox_alive") is not False
+        return is_alive(self.model, state)
 
     def _keeps_inputs(self, state: State) -> bool:
         return definitely(self.model, state, "inputs_valid") is not False
@@ -954,9 +829,12 @@ class Oracle:
         )
 
 
-def _last(
-    candidates: dict[Candidate, tuple[RuleName, ...]], machines: set[str]
-) -> tuple[RuleName, ...]:
+def _kept(before: Explanations, after: Explanations) -> Explanations:
+    """Give `after`; where an observation changed nothing, `before`, of which more is known."""
+    return before if before.keys() == after.keys() else after
+
+
+def _last(candidates: Explanations, machines: set[str]) -> tuple[RuleName, ...]:
     """Give the last rule of these machines in each history."""
     own = ([r for r in history if r.machine in machines] for history in candidates.values())
     return tuple(dict.fromkeys(history[-1] for history in own if history))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ecatspec.model.compiled import paths_in
 from ecatspec.model.esc import AREAS, DIRECTIONS, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import fields_with_before
@@ -11,14 +12,11 @@ from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, Mapped, taken
 from ecatspec.model.values import Pattern, Value, admits, is_any
 from ecatspec.model.words import register_words
-from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from ecatspec.model.compiled import Model
     from ecatspec.model.state import State
-    from ecatspec.spec.language.ir import Expression, Register, Word
+    from ecatspec.spec.language.ir import Register, Word
 
 
 @once
@@ -177,15 +175,5 @@ def shown_fields(model: Model, state: State, name: str) -> dict[str, Value]:
 
 def machines_of(model: Model, name: str) -> set[str]:
     """Give the machines of which a register or a word shows something."""
-    paths = (p for view in model.views[name] for p in _names(model, view.expression))
+    paths = (p for view in model.views[name] for p in paths_in(model.protocol, view.expression))
     return {path.partition(".")[0] for path in paths} & set(model.protocol.machines)
-
-
-def _names(model: Model, expression: Expression) -> Iterator[str]:
-    """Give the names of an expression and of the definitions that it uses."""
-    for path in names_in(expression):
-        definition = model.protocol.definitions.get(path)
-        if definition is None:
-            yield path
-        else:
-            yield from _names(model, definition.value)

@@ -272,6 +272,24 @@ def test_functions_of_known_and_unknown_values() -> None:
     assert unsure.admits(b"whatever it is")
 
 
+OF_AN_OBJECT = (
+    *("complete_size", "complete_value", "complete_in_range", "complete_readable"),
+    *("complete_writable", "declared", "object_exists", "object_list", "object_code_of"),
+    *("highest_subindex", "is_plain_variable", "readable", "writable", "size_of"),
+)
+
+
+@pytest.mark.parametrize("name", OF_AN_OBJECT)
+@pytest.mark.parametrize("closed", [False, True])
+def test_of_an_object_that_is_not_known_nothing_is(name: str, *, closed: bool) -> None:
+    model = Model(load_device("reference"))
+    if closed:
+        model.dictionary.close()
+    function = model.dictionary.functions[name]
+    environment = Environment(model.initial.slots, {}, {})
+    assert is_any(function(environment, (UNKNOWN, 0, b"")))
+
+
 def test_what_a_device_takes_where_it_is_free() -> None:
     assert Pattern(preferred=7).first() == 7
     assert Pattern(preferred=7).admits(3)

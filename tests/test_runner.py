@@ -15,7 +15,7 @@ import pytest
 from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.runner import Runner, run_device
 from ecatspec.conformance.verdict import Outcome
@@ -24,6 +24,9 @@ from ecatspec.generators.case import Case, Happen, Probe, WriteOutputs
 from ecatspec.generators.token import case_of, token_of
 from ecatspec.generators.transfers import upload
 from ecatspec.model.compiled import Model
+from ecatspec.model.state import RuleName
+from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.ir import Pin
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
@@ -115,7 +118,7 @@ def test_trouble_of_the_adapter_is_no_fault_of_the_device() -> None:
 
 HOST = """
 import json, os, signal, sys, time
-from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 how, after = sys.argv[1], int(sys.argv[2])
 device, sent = make("standard", {}), 0
 out = device._device.model.parameter("mailbox_out", "start")
@@ -338,6 +341,46 @@ def test_a_suite_of_another_way_promises_nothing(monkeypatch: pytest.MonkeyPatch
     suite = Promised((case("one"),), assumed={"refused_in_op": "drop_to_safeop"})
     _, told = completed(monkeypatch, suite)
     assert told == ["a promise; promises nothing: the device goes another way at refused_in_op"]
+
+
+@pytest.mark.parametrize(
+    ("way", "words"),
+    [
+        ("refused", "a promise; passed"),
+        (
+            "accepted",
+            "a promise; promises nothing: the device goes another way at op_without_outputs",
+        ),
+    ],
+)
+def test_what_a_suite_believes_of_a_device_blames_nobody(
+    monkeypatch: pytest.MonkeyPatch, way: str, words: str
+) -> None:
+    texts = load_device(DEVICE)
+    pin = Pin("op_without_outputs", way, ())
+    device = VirtualSubDevice(replace(texts, pins={**texts.pins, pin.choice: pin}))
+    runner = Runner(MODEL, VirtualAdapter(device, described(texts)), described(texts))
+    safeop, op = way_to(MODEL, "SAFEOP"), request(MODEL.row("al_state", "OP"))
+    one = Case("one", "one", "al", (*safeop, op), None, 0)
+    runner.untold.add(pin.choice)
+    suite = Promised((one,), "al", {pin.choice: "refused"})
+    monkeypatch.setattr(runner_module, "complete_suites", lambda *_: [suite])
+    assert runner.complete("default", None) == [words]
+    (verdict,) = runner.verdicts
+    assert verdict.outcome is Outcome.PASS
+    # that a refusal was one for want of outputs is believed, not known
+    assert RuleName("al", "safeop_to_op_refused") not in runner.rules
+    assert RuleName("al", "preop_to_safeop") in runner.rules
+    assert (RuleName("al", "safeop_to_op") in runner.rules) == (way == "accepted")
+
+
+def test_a_choice_that_nothing_tells_is_kept_in_mind() -> None:
+    adapter = make(DEVICE, {})
+    runner = Runner(MODEL, adapter, adapter.describe())
+    safeop, op = way_to(MODEL, "SAFEOP"), request(MODEL.row("al_state", "OP"))
+    runner.judge(Case("one", "one", "al", (*safeop, op), None, 0))
+    assert "op_without_outputs" in runner.untold
+    assert "op_without_outputs" not in runner.choices
 
 
 def test_a_suite_of_a_layer_that_is_not_the_devices_is_left_out(

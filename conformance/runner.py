@@ -31,6 +31,7 @@ from ecatspec.generators.finite_cover import complete_suites
 from ecatspec.generators.strategies import requests
 from ecatspec.generators.suite import all_cases
 from ecatspec.generators.token import PREFIX, case_of, check, token_of
+from ecatspec.generators.transfers import begins_download
 from ecatspec.generators.walks import walk
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rests_on, rule_clauses
@@ -251,7 +252,9 @@ class Runner:
 
     def _configures(self, stimulus: Stimulus) -> bool:
         """Tell whether a request may change what is assigned or mapped."""
-        index = stimulus.fields.get("index") if isinstance(stimulus, SendFrame) else None
+        if not isinstance(stimulus, SendFrame) or not begins_download(stimulus):
+            return False
+        index = stimulus.fields["index"]
         return isinstance(index, int) and self._sets_up(index)
 
     def _sets_up(self, index: int) -> bool:

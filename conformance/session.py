@@ -55,7 +55,9 @@ _SLOWEST = 500_000
 """Microseconds between two writes of the same process data at most."""
 _OFTEN = 4
 """Writes of process data in the time of the watchdog."""
-WATCHED = ("al_status", "al_status_code", f"{MAIN_IN}_pdi_control", f"{MAIN_IN}_status")
+_AL = ("al_status", "al_status_code")
+_MAIL = (f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control")
+WATCHED = (*_AL, *_MAIL)
 """The registers that are read after every stimulus: what the device shows."""
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
@@ -121,7 +123,7 @@ class Session:
                 self._write(address, data)
             case ReadRegister(register=name):
                 self._say("MainDevice", f"reads {name.replace('_', ' ')}")
-                self._read_register(name, demanded=True)
+                self._read_registers(name, demanded=True)
             case SendFrame():
                 self._send(stimulus)
                 if stimulus.unread:
@@ -283,8 +285,7 @@ class Session:
 
     def _look(self, *, unread: bool = False) -> None:
         # the code is judged only once the state is known, so the state comes first
-        for name in WATCHED[:-1]:
-            self._read_register(name)
+        self._read_registers(*_AL)
         self._read_inputs()
         if unread:
             self._full()
@@ -302,35 +303,44 @@ class Session:
                 return
 
     def _full(self) -> bool:
-        status = self._read_register(WATCHED[-1])
-        return bool(field_of(self.model.protocol, f"{MAIN_IN}_status", "full", status))
+        status = self._read_registers(*_MAIL)[0]
+        return bool(field_of(self.model.protocol, _MAIL[0], "full", status))
 
-    def _read_register(self, name: str, *, demanded: bool = False) -> int:
-        register = self.model.protocol.registers[name]
+    def _read_registers(self, *names: str, demanded: bool = False) -> list[int]:
+        """Read registers by one exchange, the lowest first; give what they hold."""
+        registers = [self.model.protocol.registers[name] for name in names]
+        start = registers[0].address
         self._tick()
-        counter, data = self.adapter.read(register.address, register.size)
-        raw = int.from_bytes(data, "little")
-        if self.model.views[name] and self._shown.get(name) != raw:
-            first = name not in self._shown
-            self._shown[name] = raw
-            if not first:
-                shown = {
-                    view.name: field_of(self.model.protocol, name, view.name, raw)
-                    for view in self.model.views[name]
-                }
-                self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
-        told = self.oracle.reasons() if name == "al_status" else ()
-        exchange = self._exchange(register.address, data, counter)
+        counter, data = self.adapter.read(start, registers[-1].address + registers[-1].size - start)
+        found = []
+        for register in registers:
+            offset = register.address - start
+            found.append(int.from_bytes(data[offset : offset + register.size], "little"))
+            self._show_register(register.name, found[-1])
+        exchange = self._exchange(start, data, counter)
         if demanded and not counter:
-            mismatch = self.oracle.unreadable(name, exchange)
+            mismatch = self.oracle.unreadable(names[0], exchange)
             if mismatch is not None:
                 raise Deviation(mismatch)
+        told = self.oracle.reasons() if names == _AL else ()
         self._observe(exchange)
-        if name == "al_status":
+        if names == _AL:
             for reason in self.oracle.reasons():
                 if reason not in told:
                     self._say("reason", reason)
-        return raw if counter else 0
+        return found if counter else [0] * len(found)
+
+    def _show_register(self, name: str, raw: int) -> None:
+        if not self.model.views[name] or self._shown.get(name) == raw:
+            return
+        first = name not in self._shown
+        self._shown[name] = raw
+        if not first:
+            shown = {
+                view.name: field_of(self.model.protocol, name, view.name, raw)
+                for view in self.model.views[name]
+            }
+            self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
 
     def _write(self, address: int, data: bytes) -> int:
         self.attempt = self._exchange(address, data, 1, write=True)

@@ -34,6 +34,7 @@ class _Kind:
 
 
 _AL: Final = _Kind("al", None, lambda model, choices, _: al_machine(model, choices))
+_AL_SHORT: Final = _Kind("al", None, lambda model, choices, _: al_machine(model, choices, few=True))
 _DRIVE: Final = _Kind(
     "ds402", "OP", lambda model, choices, events: drive_machine(model, choices, events=events)
 )
@@ -43,7 +44,7 @@ _BOTH: Final = _Kind(
 _SDO: Final = _Kind("sdo", "PREOP", lambda model, choices, _: sdo_machine(model, choices))
 _PLANS: Final[Mapping[str, tuple[tuple[_Kind, int], ...]]] = {
     "quick": (),
-    "default": ((_AL, 0), (_DRIVE, 0)),
+    "default": ((_AL_SHORT, 0), (_DRIVE, 0)),
     "exhaustive": ((_DRIVE, 1), (_BOTH, 1), (_SDO, 1), (_AL, 1)),
 }
 """By depth: the machines, and how many states more than these a device may have."""

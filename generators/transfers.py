@@ -40,6 +40,11 @@ def download(
     return SendFrame("sdo_download_expedited", fields)
 
 
+def begins_download(frame: SendFrame) -> bool:
+    """Tell whether a request says which entry is written."""
+    return frame.frame.startswith("sdo_download") and "index" in frame.fields
+
+
 def unsized(model: Model, index: int, subindex: int, value: bytes) -> SendFrame:
     """Write an entry by an expedited request that does not tell the size."""
     filled = value.ljust(expedited_size(model), b"\0")

@@ -30,15 +30,16 @@ if TYPE_CHECKING:
 Symbol = tuple[str, tuple[Stimulus, ...]]
 
 
-def symbols(model: Model) -> tuple[Symbol, ...]:
-    """Give the inputs: all requested values with and without acknowledge, and settings."""
+def symbols(model: Model, *, few: bool = False) -> tuple[Symbol, ...]:
+    """Give the inputs: requests with and without acknowledge, and settings.
+
+    All states are requested, and three values that are none, or of a `few` inputs one.
+    """
     states = {r.value: r.name for r in model.protocol.tables["al_state"].rows}
     width = model.protocol.tables["al_state"].width
     invalid = [value for value in range(1 << width) if value not in states]
-    tried = {
-        **states,
-        **{value: f"value_{value}" for value in (invalid[0], invalid[1], invalid[-1])},
-    }
+    none = invalid[1:2] if few else (invalid[0], invalid[1], invalid[-1])
+    tried = states | {value: f"value_{value}" for value in none}
     process_data = has_process_data(model)
     set_up = mailbox_settings(model)
     found: list[Symbol] = [("set_up", (*set_up, SetUpProcessData()) if process_data else set_up)]

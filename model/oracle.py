@@ -57,6 +57,7 @@ from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from collections.abc import Set as AbstractSet
 
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
@@ -834,7 +835,7 @@ def _kept(before: Explanations, after: Explanations) -> Explanations:
     return before if before.keys() == after.keys() else after
 
 
-def _last(candidates: Explanations, machines: set[str]) -> tuple[RuleName, ...]:
+def _last(candidates: Explanations, machines: AbstractSet[str]) -> tuple[RuleName, ...]:
     """Give the last rule of these machines in each history."""
     own = ([r for r in history if r.machine in machines] for history in candidates.values())
     return tuple(dict.fromkeys(history[-1] for history in own if history))

@@ -173,7 +173,8 @@ def shown_fields(model: Model, state: State, name: str) -> dict[str, Value]:
     return {field: value for field, value in shown.items() if not is_any(value)}
 
 
-def machines_of(model: Model, name: str) -> set[str]:
+@once
+def machines_of(model: Model, name: str) -> frozenset[str]:
     """Give the machines of which a register or a word shows something."""
     paths = (p for view in model.views[name] for p in paths_in(model.protocol, view.expression))
-    return {path.partition(".")[0] for path in paths} & set(model.protocol.machines)
+    return frozenset(model.protocol.machines).intersection(p.partition(".")[0] for p in paths)

@@ -100,7 +100,7 @@ class VirtualSubDevice:
         if before is not None and after is not None and before.full and not after.full:
             self._last, self._unread = self._unread, None
             self._run(self.model.fetched)
-        self.poll()
+            self.poll()
         return result
 
     def write(self, address: int, data: bytes) -> int:

@@ -105,7 +105,7 @@ def test_a_guarantee_is_one_line_with_method_and_proof() -> None:
     (suite,) = suites(SMALL, "default")
     tests, symbols = suite.suite.trie().size()
     assert suite.guarantee() == (
-        f"AL, 30 states, 19 inputs: CHAIN, m = 30, k = 0: {tests} tests, {symbols} symbols; "
+        f"AL, 30 states, 15 inputs: CHAIN, m = 30, k = 0: {tests} tests, {symbols} symbols; "
         "checked: exact"
     )
 
@@ -174,8 +174,10 @@ def test_a_fault_is_found_shortened_and_replayed() -> None:
     assert len(long.stimuli) > 30
     # both SyncManagers of the mailbox, PREOP, and what should have been refused
     assert len(short.stimuli) == 4
-    assert others
-    assert {v.signature for v in others} == {first.signature}
+    # what fails for the same cause is left as it is
+    same = [v for v in others if v.signature == first.signature]
+    assert same
+    assert all(len(case_of(v.replay).stimuli) > 30 for v in same)
 
     again = run_device(SMALL, f"model:fault={FAULT}", replay=first.replay)
     (verdict,) = again.verdicts

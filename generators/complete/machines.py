@@ -262,14 +262,16 @@ def al_machine(
     model: Model,
     choices: Mapping[str, str] | None = None,
     device: VirtualSubDevice | None = None,
+    *,
+    few: bool = False,
 ) -> Abstraction:
     """Give the AL state machine from power-on.
 
     Inputs: mailboxes and process data set up, a mailbox SyncManager disabled, outputs written or
-    stopped, every state and some other values requested with and without acknowledge. Outputs: AL
-    Status, and AL Status Code where an error is indicated.
+    stopped, every state and some other values requested with and without acknowledge, of a `few`
+    inputs one such value. Outputs: AL Status, and AL Status Code where an error is indicated.
     """
-    alphabet = dict(symbols(model))
+    alphabet = dict(symbols(model, few=few))
     if has_process_data(model):
         alphabet["stop_outputs"] = (StopOutputs(),)
     setup = Setup("AL", (), alphabet, AL_SLOTS)

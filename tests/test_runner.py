@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -470,7 +471,7 @@ alone = pytest.mark.xdist_group("canopen")
 """All on one worker, so that the run is made once."""
 
 
-@pytest.fixture(scope="module")
+@cache
 def canopen() -> Result:
     if importlib.util.find_spec("canopen") is None:
         pytest.skip('the package canopen is not installed: pip install "ecatspec[canopen]"')
@@ -478,30 +479,30 @@ def canopen() -> Result:
 
 
 @alone
-def test_canopen_has_the_findings_that_were_checked_by_hand_and_no_other(canopen: Result) -> None:
-    explained = found(canopen)
+def test_canopen_has_the_findings_that_were_checked_by_hand_and_no_other() -> None:
+    explained = found(canopen())
     assert {case for case, rows in explained.items() if not rows} == set()
     assert set(FOUND) - set().union(*explained.values()) == set()
 
 
 @alone
-def test_what_frames_of_canopen_do_not_carry_is_skipped_and_said(canopen: Result) -> None:
+def test_what_frames_of_canopen_do_not_carry_is_skipped_and_said() -> None:
     words = {
         verdict.reason.rpartition(": ")[2].partition(",")[0]
-        for verdict in canopen.verdicts
+        for verdict in canopen().verdicts
         if verdict.outcome is Outcome.SKIPPED and "cannot carry it" in verdict.reason
     }
-    notes = {note.partition(":")[0].removeprefix("without ") for note in canopen.notes}
+    notes = {note.partition(":")[0].removeprefix("without ") for note in canopen().notes}
     assert {"complete_access", "malformed", "oversized", "mailbox_restart"} <= words <= notes
-    sent = [line.what for v in canopen.verdicts for line in v.trace if line.who == "MainDevice"]
+    sent = [line.what for v in canopen().verdicts for line in v.trace if line.who == "MainDevice"]
     begun = [what for what in sent if what.startswith("sends sdo_download_normal")]
     assert begun
     assert all(what.endswith("value empty") for what in begun)
 
 
 @alone
-def test_canopen_dies_of_an_unknown_command_as_first_request(canopen: Result) -> None:
-    (verdict,) = [v for v in canopen.verdicts if v.case == "sdo/unknown_command/7"]
+def test_canopen_dies_of_an_unknown_command_as_first_request() -> None:
+    (verdict,) = [v for v in canopen().verdicts if v.case == "sdo/unknown_command/7"]
     assert verdict.outcome is Outcome.CRASH
     assert "command 7" in verdict.reason
     assert "SDO-17" in verdict.clauses
@@ -509,16 +510,16 @@ def test_canopen_dies_of_an_unknown_command_as_first_request(canopen: Result) ->
 
 
 @alone
-def test_canopen_knows_a_subindex_of_a_plain_variable(canopen: Result) -> None:
-    (verdict,) = [v for v in canopen.verdicts if v.case == "sdo/no_subindex/upload/1000_01"]
+def test_canopen_knows_a_subindex_of_a_plain_variable() -> None:
+    (verdict,) = [v for v in canopen().verdicts if v.case == "sdo/no_subindex/upload/1000_01"]
     assert verdict.outcome is Outcome.FAIL
     assert "SDO-08" in verdict.clauses
     assert verdict.observed.startswith("sdo_upload_expedited")
 
 
 @alone
-def test_every_finding_of_canopen_is_short(canopen: Result) -> None:
-    lengths = {f.verdict.case: len(f.verdict.trace) for f in canopen.findings()}
+def test_every_finding_of_canopen_is_short() -> None:
+    lengths = {f.verdict.case: len(f.verdict.trace) for f in canopen().findings()}
     # a transfer in frames of eight bytes is as long as its value
     short = {case: n for case, n in lengths.items() if not case.startswith("sdo/transfer/")}
     assert short

@@ -103,6 +103,10 @@ class Esc:
         at = self._protocol.registers[name]
         return int.from_bytes(self._memory[at.address : at.address + at.size], "little")
 
+    def registers(self) -> bytes:
+        """Give the memory that holds all registers."""
+        return bytes(self._memory[: self._registers_end])
+
     def set_register(self, name: str, raw: int) -> None:
         """Set the raw content of a register."""
         at = self._protocol.registers[name]

@@ -84,6 +84,8 @@ class VirtualSubDevice:
         """Power cycle."""
         self.esc = Esc(self.model)
         self._shown: State | None = None
+        self._taken = b""
+        """The registers when the device looked at them last."""
         self.state = self._power_on
         self._queue: list[bytes] = []
         self._unread: bytes | None = None
@@ -148,6 +150,10 @@ class VirtualSubDevice:
         self._show()
 
     def _registers(self) -> None:
+        registers = self.esc.registers()
+        if registers == self._taken:
+            return
+        self._taken = registers
         was_alive = self._alive()
         for register, slot in self._register_slots:
             self.state = self.state.having(slot, self.esc.register(register))

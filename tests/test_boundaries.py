@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
+from seeds import printed_twice
 
 pytest.importorskip("z3")
 
@@ -144,16 +143,7 @@ from ecatspec.spec.language.load import load_device
 
 print(*boundary_cases(Model(load_device("{DEVICE}")), {SMALL}).cases, sep="\\n")
 """
-    given = [
-        subprocess.run(
-            [sys.executable, "-P", "-c", program],
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True,
-            check=True,
-            text=True,
-        ).stdout
-        for seed in ("1", "2")
-    ]
+    given = printed_twice(program)
     assert given[0] == given[1]
     assert given[0].count("Case(") > 50
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-import os
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
 from functools import cache
@@ -17,6 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from seeds import printed_twice
 
 from ecatspec.conformance import cli
 from ecatspec.conformance.drawings import DRAWINGS, svg
@@ -498,19 +496,10 @@ for drawing in DRAWINGS.values():
     for machine in protocol.machines:
         print(drawing(protocol, machine), end="")
 """
-    given = [
-        subprocess.run(
-            [sys.executable, "-P", "-c", program],
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True,
-            check=True,
-            text=True,
-        ).stdout
-        for seed in ("1", "2")
-    ]
+    given = printed_twice(program)
     names = loaded("standard").machines
     here = "".join(drawn("standard", machine, form) for form in DRAWINGS for machine in names)
-    assert given == [here, here]
+    assert given == (here, here)
 
 
 def marks(text: str, tag: str) -> Mapping[str, int]:

@@ -154,8 +154,8 @@ class Behaviour:
     `inputs` are those of the witness by name. `rules` fired for its last input, `roots` are those
     on the way to it that the texts have otherwise; `clauses` are cited by either. `transitions`
     says at how many places of the product it shows. `freer`: one side may also answer as the
-    other does. `depends` has
-    open choices and conditions by which one of them could answer like the other.
+    other does. `depends` has open choices and conditions by which one of them could answer like
+    the other.
     """
 
     section: Section

@@ -56,7 +56,7 @@ class Parted:
         """Give one line."""
         first, second = self.names
         count = len(self.differences)
-        told = f"{count} differences" if count else "no differences"
+        told = f"{count or 'no'} difference{'' if count == 1 else 's'}"
         left = f"; {self.left_out} cases only one of them can run" if self.left_out else ""
         return f"{first} against {second} by the quick suite of {self.device}: {told}{left}."
 

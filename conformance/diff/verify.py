@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.diff.machines import SDO
+from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.generators.drive_cover import STATUS
 from ecatspec.generators.token import to_data
@@ -27,7 +28,7 @@ from ecatspec.spec.language.ir import Pin
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from ecatspec.conformance.adapter import Description
+    from ecatspec.conformance.adapter import Adapter
     from ecatspec.conformance.diff.behaviour import Behaviour
     from ecatspec.conformance.diff.comparison import Comparison
     from ecatspec.conformance.diff.machines import Part
@@ -39,44 +40,21 @@ _STATUS_BIT = "status bit "
 _ANSWER = "answer "
 
 
-class Overheard:
+class Overheard(Guarded):
     """An adapter that keeps the messages that were read from the mailbox."""
 
-    def __init__(self, adapter: VirtualAdapter, start: int) -> None:
+    def __init__(self, adapter: Adapter, start: int) -> None:
         """Take the adapter and where its messages are read."""
-        self._adapter = adapter
+        super().__init__(adapter)
         self._start = start
         self.messages: list[bytes] = []
 
-    def reset(self) -> None:
-        """Power cycle."""
-        self._adapter.reset()
-
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read, and keep what is a message."""
-        counter, data = self._adapter.read(address, length)
+        counter, data = super().read(address, length)
         if counter and address == self._start:
             self.messages.append(data)
         return counter, data
-
-    def write(self, address: int, data: bytes) -> int:
-        """Write."""
-        return self._adapter.write(address, data)
-
-    def advance(self, seconds: float) -> None:
-        """Let virtual time pass."""
-        self._adapter.advance(seconds)
-
-    def local(self, event: str) -> None:
-        """Make a local event befall the device."""
-        self._adapter.local(event)
-
-    def close(self) -> None:
-        """Nothing to release."""
-
-    def describe(self) -> Description:
-        """Describe the device."""
-        return self._adapter.describe()
 
 
 def verify(found: Comparison) -> tuple[str, ...]:

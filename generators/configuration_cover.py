@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, way_to
 from ecatspec.generators.case import (
     Case,
+    Happen,
     Probe,
     ReadConfiguration,
     SetUpProcessData,
@@ -71,12 +72,13 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     most = model.dictionary.highest(index)
     for count in (most + 1, 0xFF):
         yield _case(model, f"count_{count}/{key}", (clear, first, _set(model, index, 0, count)))
-    strange = {"undeclared": _nowhere(model), "free": _free(model, name)}
+    strange = {"undeclared": _nowhere(model), **_free(model, name)}
     if other:
         strange["other_direction"] = other[0]
     near = range(model.image.pdos[name][0] - 1, model.image.pdos[name][-1] + 2)
     tried_before = {0, *own, *strange.values()}
-    fits = (n for n in _compared(model) if n in near and n not in tried_before)
+    edges = (near[0], *_compared(model), near[-1])
+    fits = (n for n in edges if n in near and n not in tried_before)
     strange |= {f"number_{number:X}": number for number in fits}
     for what, pdo in strange.items():
         tried = (clear, _set(model, index, 1, pdo), one, _ask(index, 0), _ask(index, 1))
@@ -107,6 +109,7 @@ def _in_operation(model: Model, name: str, pdo: int) -> Iterator[Case]:
     wrong = SetUpProcessData(longer={manager: 1})
     yield _case(model, f"misfit/{key}", (*assigned, wrong, safeop, *_look(model)))
     yield _case(model, f"watchdog/{key}", (*up, StopOutputs(), Wait(_LONG), *_look(model)))
+    yield _case(model, f"sync_lost/{key}", (*up, Happen("al.sync_lost"), *_look(model)))
 
 
 def _look(model: Model) -> Iterator[Stimulus]:
@@ -132,7 +135,9 @@ def _compared(model: Model) -> list[int]:
 
 
 def _assign(model: Model, index: int, pdo: int) -> tuple[Stimulus, ...]:
-    return _set(model, index, 0, 0), _set(model, index, 1, pdo), _set(model, index, 0, 1)
+    """Assign one PDO and read what it maps, without which no settings fit."""
+    clear, one = _set(model, index, 0, 0), _set(model, index, 0, 1)
+    return clear, _set(model, index, 1, pdo), one, ReadConfiguration()
 
 
 def _up(model: Model) -> tuple[Stimulus, ...]:
@@ -216,10 +221,11 @@ def _pdos(model: Model, name: str) -> list[int]:
     )
 
 
-def _free(model: Model, name: str) -> int:
-    """Give an index of PDOs of this direction under which no text declares one."""
+def _free(model: Model, name: str) -> dict[str, int]:
+    """Give an index of PDOs of this direction under which no text declares one, if there is."""
     taken = set(_pdos(model, name))
-    return next(index for index in reversed(model.image.pdos[name]) if index not in taken)
+    free = (index for index in reversed(model.image.pdos[name]) if index not in taken)
+    return {"free": index for index in list(free)[:1]}
 
 
 def _nowhere(model: Model) -> int:

@@ -79,10 +79,10 @@ def _counters(model: Model, ask: SendFrame) -> Iterator[Case]:
     steps = [*range(highest, 0, -1), 3, 1, 5]
     odd: list[Stimulus] = [SendFrame(ask.frame, {**ask.fields, "counter": n}) for n in steps]
     yield case_in(model, "mailbox/counter_steps", "counters in any order", odd)
-    write = next(
-        (e for e in model.protocol.objects if e.access is Access.BOTH and not e.states), None
-    )
-    if write is not None and not size_varies(write) and size_of(write) <= _expedited(model):
+    small = (e for e in model.protocol.objects if not size_varies(e))
+    small = (e for e in small if size_of(e) <= _expedited(model))
+    write = next((e for e in small if e.access is Access.BOTH and not e.states), None)
+    if write is not None:
         first = download(write.index, write.subindex, bytes(size_of(write)))
         second = SendFrame(
             first.frame, {**first.fields, "value": b"\1" * size_of(write)}, same_counter=True

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from ecatspec.generators.finite_cover import Complete
     from ecatspec.generators.mutants import Mutant
     from ecatspec.model.state import Event, State, Step
-    from ecatspec.spec.language.ir import Protocol
+    from ecatspec.spec.language.ir import Protocol, Rule
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
@@ -200,6 +200,7 @@ class _Ground:
         self.configured = runner.configured
         self.equivalents = _equivalents(self.built, local)
         self.groups = _groups(self.built)
+        self.behind = _behind(self.built)
         self.built_rules = {
             f"{machine.name}.{rule.name}": rule
             for machine in self.built.machines.values()
@@ -264,6 +265,8 @@ class _Ground:
     def _other(self, mutant: Mutant, device: VirtualSubDevice, taken: _Taken) -> bool:
         """Tell whether the mutant steps otherwise, in what follows a step too."""
         fired = taken.step.rules
+        if self._follows(mutant, fired):
+            return True
         if mutant.place in self.groups:
             own = RuleName(*mutant.place.split("."))
             if own not in fired and not (
@@ -278,6 +281,17 @@ class _Ground:
                 return step(device.model, taken.state, taken.event)[0] != taken.step
         except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
             return True
+
+    def _follows(self, mutant: Mutant, fired: Collection[RuleName]) -> bool:
+        """Tell whether what is wrong may show once a frame is fixed, which no step has."""
+        if mutant.place in self.groups:
+            own = {RuleName(*mutant.place.split("."))}
+            late: Collection[RuleName] = self.groups[mutant.place] if mutant.checks else own
+        else:
+            late = {RuleName(*place.split(".")) for place in self.speaking.get(mutant.place, ())}
+            if any(rule in late and rule in self.behind for rule in fired):
+                return True
+        return any(not self.behind[rule].isdisjoint(late) for rule in fired if rule in self.behind)
 
     def _equal(self, mutant: Mutant, device: VirtualSubDevice) -> bool:
         """Tell whether the finite machines of the mutant are those of the device.
@@ -348,6 +362,31 @@ def _groups(protocol: Protocol) -> dict[str, frozenset[RuleName]]:
         for machine in protocol.machines.values()
         for rule in machine.rules
     }
+
+
+def _behind(protocol: Protocol) -> dict[RuleName, frozenset[RuleName]]:
+    """Give for each rule whose frame is followed by something the rules that may fire then."""
+    takers: dict[str, list[tuple[RuleName, Rule]]] = {}
+    every: dict[RuleName, Rule] = {}
+    for machine in protocol.machines.values():
+        for rule in machine.rules:
+            name = RuleName(machine.name, rule.name)
+            every[name] = rule
+            takers.setdefault(f"{machine.name}.{rule.input}", []).append((name, rule))
+    found: dict[RuleName, frozenset[RuleName]] = {}
+    for name, rule in every.items():
+        if rule.after is None:
+            continue
+        reached: set[RuleName] = set()
+        given = [give.target for give in rule.after.gives]
+        while given:
+            for other, row in takers.get(given.pop(), ()):
+                if other not in reached:
+                    reached.add(other)
+                    given += (give.target for give in row.gives)
+                    given += () if row.after is None else (g.target for g in row.after.gives)
+        found[name] = frozenset(reached)
+    return found
 
 
 def _states(model: Model, every: Iterable[_Taken]) -> set[tuple[str, str]]:

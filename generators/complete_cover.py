@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import case_in
+from ecatspec.generators.bringup import WAY_UP, case_in
 from ecatspec.generators.sdo_cover import is_written, missing_indexes, state_of
+from ecatspec.generators.transfer_cover import long_entry
 from ecatspec.generators.transfers import (
     initiate,
     normal_download,
     other_sample,
+    pattern,
     read,
     upload,
 )
@@ -40,6 +42,7 @@ def complete_cover(model: Model, limits: Limits) -> Iterator[Case]:
         yield _case(model, f"complete_upload/{index:04X}_from_2", title, [beyond])
         if any(is_written(entry) for entry in entries):
             yield from _downloads(model, limits, index, entries)
+    yield from _mixed(model, limits)
     for index in missing_indexes(model):
         ask = upload(index, 0, complete=True)
         title = "complete upload of a missing object"
@@ -47,6 +50,33 @@ def complete_cover(model: Model, limits: Limits) -> Iterator[Case]:
         put = initiate(index, 0, 2, b"\1\0", complete=True)
         title = "complete download of a missing object"
         yield _case(model, f"complete_no_object/download/{index:04X}", title, [put])
+
+
+def _mixed(model: Model, limits: Limits) -> Iterator[Case]:
+    """Yield transfers of a whole object and of one entry behind each other, both in segments."""
+    whole = {i: own for i, own in objects(model).items() if len(own) > 1 and _writable(own)}
+    long = long_entry(model)
+    found = max(whole, key=lambda i: len(image(whole[i], 0)), default=None)
+    if long is None or found is None:
+        return
+    key = long.index, long.subindex
+    all_of_it, one = read(found, 0, complete=True), read(*key)
+    put = normal_download(model, (found, 0), image(whole[found], 0), limits, first=0, complete=True)
+    part = normal_download(model, key, pattern(size_of(long), 1), limits, first=0)
+    runs: dict[str, list[Stimulus]] = {
+        "upload": [*part, *all_of_it, *one, *all_of_it],
+        "download": [*put, *part, *one, *put, *all_of_it],
+    }
+    for word, stimuli in runs.items():
+        title = f"{word} of an object and of an entry behind each other"
+        yield _case(model, f"complete_and_single/{word}", title, stimuli)
+
+
+def _writable(entries: list[ObjectEntry]) -> bool:
+    """Tell whether an object can be written where it is tried, and has no single bits."""
+    written = [entry for entry in entries if is_written(entry)]
+    here = all("PREOP" in entry.states or not entry.states for entry in written)
+    return bool(written) and here and not any(isinstance(e.type, Bool) for e in entries)
 
 
 def objects(model: Model) -> dict[int, list[ObjectEntry]]:
@@ -116,6 +146,12 @@ def _downloads(
             stimuli: list[Stimulus] = [*back, *requests, *back]
             title = f"download all from {first}, {word.replace('_', ' ')}"
             yield _case(model, name, title, stimuli, state)
+        for other in WAY_UP[1:]:
+            if any(is_written(e) and e.states and other not in e.states for e in entries):
+                stimuli = [*shapes["whole"], *back]
+                name = f"complete_download_in_{other}/{index:04X}_from_{first}"
+                yield _case(model, name, f"download all from {first}", stimuli, other)
+                break
     put = initiate(index, 2, 2, b"\1\0", complete=True)
     title = "complete download from subindex 2"
     yield _case(model, f"complete_download_from_2/{index:04X}", title, [*back, put, *back], state)

@@ -70,6 +70,8 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     yield _case(model, f"entry_while_counted/{key}", (one, _set(model, index, 1, own[-1])))
     yield _case(model, f"same_entry_while_counted/{key}", (clear, first, one, first))
     most = model.dictionary.highest(index)
+    last = _set(model, index, most, own[0]), _ask(index, most)
+    yield _case(model, f"last_entry_while_counted/{key}", (clear, first, one, *last))
     for count in (most + 1, 0xFF):
         yield _case(model, f"count_{count}/{key}", (clear, first, _set(model, index, 0, count)))
     strange = {"undeclared": _nowhere(model), **_free(model, name)}
@@ -224,8 +226,8 @@ def _pdos(model: Model, name: str) -> list[int]:
 def _free(model: Model, name: str) -> dict[str, int]:
     """Give an index of PDOs of this direction under which no text declares one, if there is."""
     taken = set(_pdos(model, name))
-    free = (index for index in reversed(model.image.pdos[name]) if index not in taken)
-    return {"free": index for index in list(free)[:1]}
+    free = [index for index in model.image.pdos[name] if index not in taken]
+    return {"free": free[-1]} if free else {}
 
 
 def _nowhere(model: Model) -> int:

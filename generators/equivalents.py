@@ -13,10 +13,20 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 from ecatspec.generators.mutants import DEFINE, SHOWN, definitions_in
 from ecatspec.model.chains import Chains
 from ecatspec.model.compiled import MAILBOX, rows_of
+from ecatspec.model.interpreter import DELIVER
 from ecatspec.model.meaning import Meaning
-from ecatspec.model.moments import Anything, Content, Moment
+from ecatspec.model.moments import ANY, Anything, Content, Moment
 from ecatspec.model.terms import Answer, Solver, all_of, any_of, equal, negated
-from ecatspec.spec.language.ir import Expression, Gap, Name, Range, Rule
+from ecatspec.spec.language.ir import (
+    Bool,
+    Conditional,
+    Expression,
+    Gap,
+    Name,
+    OneOf,
+    Range,
+    Rule,
+)
 from ecatspec.spec.language.scope import Scope, UnresolvedName
 
 if TYPE_CHECKING:
@@ -32,6 +42,8 @@ Target = tuple[str, str]
 """A machine and an input of it."""
 _INSIDE: Final = frozenset({"own", "local", "event"})
 """Inputs that come from within the device only, from rules or by themselves."""
+_OUTSIDE: Final = frozenset({"frame", "local", "write"})
+"""Inputs that come when all that was given before is done."""
 
 
 class Equivalents:
@@ -53,7 +65,14 @@ class Equivalents:
                 self._rows[machine.name, source.name] = rows
         self._reached = {m.name: {m.initial} for m in built.machines.values()}
         self._live: dict[tuple[str, str], Rule] = {}
+        self._held = self._held_at_first()
         self._explore()
+        self._delivered_alone = all(
+            DELIVER not in (given := [give.target for give in rule.gives]) or len(given) == 1
+            for machine in built.machines.values()
+            for rule in machine.rules
+        )
+        self._resting = {m.name: self._rests_in(m) for m in built.machines.values()}
 
     def proved(self, mutant: Mutant) -> bool:
         """Tell whether a mutant is proved to do what the device does."""
@@ -75,14 +94,72 @@ class Equivalents:
             for (machine, name), rows in self._rows.items():
                 if not self._comes((machine, name)):
                     continue
+                moment = moments[machine, name]
                 for row in rows:
-                    if isinstance(row, Gap) or (machine, row.name) in self._live:
+                    if isinstance(row, Gap):
                         continue
-                    if self._can(self._enabled(row, moments[machine, name])):
+                    enabled = self._enabled(row, moment)
+                    if (machine, row.name) not in self._live:
+                        if not self._can(enabled):
+                            continue
                         self._live[machine, row.name] = row
                         if row.target is not None:
                             self._reached[machine].add(row.target)
                         grown = True
+                    grown |= self._learned(row, enabled, moment)
+
+    def _held_at_first(self) -> dict[str, set[bool]]:
+        """Give the truths that variables hold at power-on, of those that nothing but rules sets."""
+        model = self._meaning.model
+        observed = {into for frame in model.replies.values() for _, into in frame.values()}
+        return {
+            slot: {bool(model.initial.slots[model.slots[slot]])}
+            for machine in self._built.machines.values()
+            for variable in machine.variables
+            if (slot := f"{machine.name}.{variable.name}") not in observed
+            and isinstance(variable.type, Bool)
+        }
+
+    def _learned(self, row: Rule, enabled: Term, moment: Moment) -> bool:
+        """Take in what truths a rule may set; tell whether there is a new one."""
+        machine = moment.scope.machine or ""
+        grown = False
+        late = () if row.after is None else row.after.updates
+        for update in (*row.updates, *late):
+            held = self._held.get(slot := _slot(update, machine))
+            for truth in () if held is None else {True, False} - held:
+                meant: Meant = ANY
+                if update not in late:
+                    meant = self._meaning.value(update.value, moment, Bool())
+                unknown = isinstance(meant, Content | Anything)
+                if unknown or self._can(enabled, equal(cast("Term", meant), truth)):
+                    self._held[slot].add(truth)
+                    grown = True
+        return grown
+
+    def _rests_in(self, machine: Machine) -> set[str]:
+        """Give the states of a machine in which nothing is left to do that a rule gave.
+
+        A rule that gives its machine an event which is taken in any case is not the last one.
+        """
+        found = {machine.initial}
+        for rule in machine.rules:
+            if (machine.name, rule.name) in self._live:
+                ends = rule.sources if rule.target is None else (rule.target,)
+                found |= {s for s in ends if not self._goes_on(machine.name, rule, s)}
+        return found
+
+    def _goes_on(self, machine: str, rule: Rule, state: str) -> bool:
+        """Tell whether a rule that leads to a state gives an event that is taken there."""
+        for event in _given_at_once(rule):
+            owner, _, name = event.partition(".")
+            if owner == machine:
+                moment = self._moment((owner, name))
+                none = [negated(self._enabled(row, moment)) for row in self._rows[owner, name]]
+                here = any_of(equal(self._state(owner), n) for n in self._numbers(owner, {state}))
+                if not self._can(here, *none):
+                    return True
+        return False
 
     def _comes(self, target: Target) -> bool:
         """Tell whether an input can come, as far as is known."""
@@ -102,6 +179,21 @@ class Equivalents:
             any_of(equal(self._state(name), value) for value in self._numbers(name, reached))
             for name, reached in self._reached.items()
             if reached != set(self._built.machines[name].states)
+        ) + tuple(
+            equal(cast("Term", self._world.get(slot)), min(held))
+            for slot, held in self._held.items()
+            if len(held) == 1
+        )
+
+    def _before(self, target: Target) -> tuple[Term, ...]:
+        """Give what is known when an input comes from outside: what rules gave before is done."""
+        machine, name = target
+        source = next(i for i in self._built.machines[machine].inputs if i.name == name)
+        if source.kind not in _OUTSIDE or not self._delivered_alone:
+            return ()
+        return tuple(
+            any_of(equal(self._state(other), n) for n in self._numbers(other, resting))
+            for other, resting in self._resting.items()
         )
 
     def _state(self, machine: str) -> Term:
@@ -200,8 +292,9 @@ class Equivalents:
             before.append(negated(here))
         ways.append((None, all_of(before)))
         known = [*right, (None, all_of(negated(here) for _, here in right))]
+        first = self._before(target)
         return not any(
-            self._can(here, there, self._unlike_effects(one, other, moment))
+            self._can(*first, here, there, self._unlike_effects(one, other, moment))
             for one, here in known
             for other, there in ways
             if one is not other and not (one in wrong and other in rows)
@@ -265,12 +358,30 @@ def _effects(row: Row | None) -> tuple[object, ...]:
     """Give what a row does beside its target and what it sets; its time limit is none of it."""
     if not isinstance(row, Rule):
         return ((), (), (), None, None, ())
-    return (row.stores, row.sends, row.gives, row.after, row.take, row.laters)
+    sends = [(s.frame, [(name, _chosen(value)) for name, value in s.fields]) for s in row.sends]
+    return (row.stores, sends, row.gives, row.after, row.take, row.laters)
+
+
+def _chosen(value: Expression) -> Expression:
+    """Give what the device sends for a field: of several values that may be the first."""
+    match value:
+        case OneOf(items=(first, *_), excluded=None):
+            return _chosen(first.low if isinstance(first, Range) else first)
+        case Conditional(then=then, otherwise=otherwise):
+            one, other = _chosen(then), _chosen(otherwise)
+            return one if one == other else replace(value, then=one, otherwise=other)
+        case _:
+            return value
 
 
 def _given(rule: Rule) -> set[str]:
     """Give the events that a rule gives, at once or later."""
-    given = {give.target for give in rule.gives} | {later.target for later in rule.laters}
+    return _given_at_once(rule) | {later.target for later in rule.laters}
+
+
+def _given_at_once(rule: Rule) -> set[str]:
+    """Give the events that a rule gives before anything else can come."""
+    given = {give.target for give in rule.gives}
     return given if rule.after is None else given | {give.target for give in rule.after.gives}
 
 

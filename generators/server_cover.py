@@ -116,6 +116,7 @@ def requests(model: Model, limits: Limits, known: ObjectEntry) -> Iterator[Reque
         "segment_request_with_excess": _with(get, excess=b"\1"),
         "segment_request_with_flags": _with(get, flags=1),
         "segment_too_short": _with(short, length=model.codec.size("coe") + 1),
+        "abort_too_short": _with(abort(0, 0, 0), length=model.codec.size("coe") + 1),
     }
     for name, message in malformed.items():
         yield Request(name, [message], _MALFORMED)
@@ -189,6 +190,7 @@ def _of_values(model: Model, limits: Limits) -> Iterator[Request]:
     for name, message in segments.items():
         yield Request(f"download_segment_{name}", [begun, message])
     most = model.parameter("longest_transfer")
+    yield Request("download_of_the_most", [initiate(*key, most, value)])
     yield Request("download_beyond_service", [initiate(*key, most + 1, value)])
     whole = initiate(*key, len(value), value)
     malformed = {
@@ -240,19 +242,23 @@ def _complete(model: Model, limits: Limits) -> Iterator[Request]:
             }
             if place == 0:
                 in_parts = normal_download(model, key, data, limits, first=0, complete=True)
-                longer = data + b"\1"
+                more = data + b"\1"
                 shapes |= {
                     "_in_segments": in_parts,
-                    "_longer": normal_download(model, key, longer, limits, complete=True),
-                    "_longer_begun": [initiate(*key, len(longer), b"", complete=True)],
+                    "_longer": normal_download(model, key, more, limits, complete=True),
+                    "_longer_begun": [initiate(*key, len(more), b"", complete=True)],
                     "_shorter_begun": [initiate(*key, max(1, len(data) - 1), b"", complete=True)],
                 }
             odd = out_of_range(whole[index], min(place, 1))
             if odd is not None:
                 wrong = normal_download(model, key, odd, limits, complete=True)
                 shapes["_out_of_range"] = wrong
+                longer = normal_download(model, key, odd + b"\1", limits, complete=True)
+                shapes["_out_of_range_longer"] = longer
             for word, messages in shapes.items():
                 yield Request(f"complete_download_{name}{word}_{at}", messages, FEATURE)
+            part = [initiate(*key, len(data), b"")]
+            yield Request(f"download_of_the_size_of_{name}_{at}", part)
 
 
 def _freely(entry: ObjectEntry) -> bool:

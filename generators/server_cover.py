@@ -115,6 +115,7 @@ def requests(model: Model, limits: Limits, known: ObjectEntry) -> Iterator[Reque
         "upload_with_reserved_data": _with(ask, reserved_data=1),
         "segment_request_with_excess": _with(get, excess=b"\1"),
         "segment_request_with_flags": _with(get, flags=1),
+        "next_segment_request_with_flags": _with(upload_segment(toggle=True), flags=1),
         "segment_too_short": _with(short, length=model.codec.size("coe") + 1),
         "abort_too_short": _with(abort(0, 0, 0), length=model.codec.size("coe") + 1),
     }
@@ -167,8 +168,9 @@ def _without(states: Sequence[str]) -> list[str]:
 
 def _of_values(model: Model, limits: Limits) -> Iterator[Request]:
     """Yield writes to an entry that takes any value of its size: of that size and of others."""
-    free = (e for e in model.protocol.objects if _freely(e) and e.low is None)
-    fixed = next((e for e in free if not size_varies(e) and not isinstance(e.type, Bool)), None)
+    free = [e for e in model.protocol.objects if _freely(e) and e.low is None]
+    sized = [e for e in free if not size_varies(e) and not isinstance(e.type, Bool)]
+    fixed = min(sized, key=lambda e: _less_fit(model, e), default=None)
     if fixed is None:
         return
     key, value = _key(fixed), sample(fixed)
@@ -186,6 +188,8 @@ def _of_values(model: Model, limits: Limits) -> Iterator[Request]:
         "turned": segment(value[:1], toggle=True, last=False),
         "too_long": segment(value + b"\1", toggle=False, last=False),
         "too_early": segment(value[:-1], toggle=False, last=True),
+        "turned_and_too_long": segment(value + b"\1", toggle=True, last=False),
+        "turned_and_too_early": segment(value[:-1], toggle=True, last=True),
     }
     for name, message in segments.items():
         yield Request(f"download_segment_{name}", [begun, message])
@@ -196,11 +200,17 @@ def _of_values(model: Model, limits: Limits) -> Iterator[Request]:
     malformed = {
         "without_size": _with(whole, size_indicated=0),
         "with_unused_bytes": _with(whole, unused=1),
+        "beyond_service_with_unused_bytes": _with(initiate(*key, most + 1, value), unused=1),
         "of_more_than_told": _with(whole, size=len(value) - 1),
         "with_excess": _with(download(*key, value), excess=b"\1"),
     }
     for name, message in malformed.items():
         yield Request(f"download_{name}", [message], _MALFORMED)
+
+
+def _less_fit(model: Model, entry: ObjectEntry) -> tuple[bool, bool]:
+    """Give what makes an entry less fit: that it configures process data, or is long."""
+    return model.image.configures(entry.index), size_of(entry) > expedited_size(model)
 
 
 def _out_of_range(model: Model, limits: Limits) -> Iterator[Request]:
@@ -259,6 +269,9 @@ def _complete(model: Model, limits: Limits) -> Iterator[Request]:
                 yield Request(f"complete_download_{name}{word}_{at}", messages, FEATURE)
             part = [initiate(*key, len(data), b"")]
             yield Request(f"download_of_the_size_of_{name}_{at}", part)
+            for entry in (e for e in whole[index] if e.subindex == place):
+                begun = [initiate(*key, size_of(entry), b"", complete=True)]
+                yield Request(f"complete_download_{name}_of_one_entry_{at}", begun, FEATURE)
 
 
 def _freely(entry: ObjectEntry) -> bool:

@@ -406,7 +406,6 @@ def test_the_own_pdo_must_be_taken(model: Model) -> None:
             "complete": False,
             "value": value.to_bytes(2, "little"),
             "segmented": False,
-            "toggle": False,
         }
         uncounted = state.keeping((0x1C12, 0), b"\0")
         steps = step(model, uncounted, Event("sdo", "commit", fields))

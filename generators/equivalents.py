@@ -358,7 +358,10 @@ def _effects(row: Row | None) -> tuple[object, ...]:
     """Give what a row does beside its target and what it sets; its time limit is none of it."""
     if not isinstance(row, Rule):
         return ((), (), (), None, None, ())
-    sends = [(s.frame, [(name, _chosen(value)) for name, value in s.fields]) for s in row.sends]
+    sends = tuple(
+        (send.frame, tuple((name, _chosen(value)) for name, value in send.fields))
+        for send in row.sends
+    )
     return (row.stores, sends, row.gives, row.after, row.take, row.laters)
 
 

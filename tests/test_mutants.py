@@ -389,14 +389,14 @@ def test_mistakes_in_the_same_words_say_which_one_they_are() -> None:
 
 
 NUMBERS = {
-    Operator.NEGATED: 217,
-    Operator.UNCHECKED: 434,
+    Operator.NEGATED: 215,
+    Operator.UNCHECKED: 431,
     Operator.NARROWED: 33,
-    Operator.OFF_BY_ONE: 168,
-    Operator.WRONG_VALUE: 355,
-    Operator.WRONG_TARGET: 263,
+    Operator.OFF_BY_ONE: 164,
+    Operator.WRONG_VALUE: 348,
+    Operator.WRONG_TARGET: 262,
     Operator.UPDATE_DROPPED: 139,
-    Operator.OUTPUT_DROPPED: 125,
+    Operator.OUTPUT_DROPPED: 124,
 }
 
 
@@ -467,6 +467,10 @@ FATES: Final[Mapping[Mistake, tuple[Fate, str]]] = {
     ("sdo.upload_no_object", SILENT, "send sdo_abort"): (Fate.KILLED, "SDO-07"),
     ("al.preop_to_safeop", WRONG, "code = no_error", UNSPECIFIED): (Fate.EQUIVALENT, ""),
     ("al.safeop_to_op", DROPPED, "identified"): (Fate.EQUIVALENT, ""),
+    ("sdo_information.list_goes_on", Operator.NEGATED, "left > 0", "not (left > 0)"): (
+        Fate.KILLED,
+        "INF-04",
+    ),
     TOLERATED: (Fate.TOLERATED, ""),
     ("sdo.value_too_high", EARLY, "value_fits", TOO_HIGH): (Fate.UNNOTICED, ""),
     ("sdo.value_taken_by_segments", SILENT, "store value"): (Fate.UNNOTICED, ""),
@@ -491,8 +495,8 @@ def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
     assert told[: len(names)] == [f"{SMALL}: {name}" for name in names]
     assert set(told[len(names) :]) == {f"{SMALL}: {mutant.place}" for mutant in sample}
 
-    assert (found.count(Fate.KILLED), found.count(Fate.UNNOTICED, EARLY)) == (2, 1)
-    assert (found.score(), found.score(EARLY), found.score(WRONG)) == (0.5, 0.5, 1.0)
+    assert (found.count(Fate.KILLED), found.count(Fate.UNNOTICED, EARLY)) == (3, 1)
+    assert (found.score(), found.score(EARLY), found.score(WRONG)) == (0.6, 0.5, 1.0)
     assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-2:]]
 
 
@@ -550,7 +554,23 @@ def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
 
 IN_VAIN: Final[Mapping[str, Mistake]] = {
     "the device raises no emergency": ("emergency.emergency_sent", SILENT, "send emergency"),
-    "no entry is for writing alone": ("sdo.upload_write_only", SILENT, "send sdo_abort"),
+    "no text of this device refuses segments for their size": (
+        "sdo.segment_of_wrong_size",
+        SILENT,
+        "send sdo_abort",
+    ),
+    "of several codes the first is sent, which is that of the other rule": (
+        "sdo.upload_no_object",
+        EARLY,
+        "not complete and no_object",
+        "no_object",
+    ),
+    "nothing is under way when a request comes": (
+        "sdo_information.object_described",
+        Operator.WRONG_TARGET,
+        "WAITING",
+        "stays",
+    ),
     "the device has no state BOOT": ("al.boot_kept", Operator.WRONG_TARGET, "stays", "SAFEOP"),
     "the object 0x1000 is declared": (
         "sdo_information.object_missing",
@@ -573,6 +593,8 @@ REAL: Final[tuple[Mistake, ...]] = (
     (f"{DEFINE}no_service", Operator.OFF_BY_ONE, "15", "14"),
     ("ds402.fault_reset_15", EARLY, "reset and not cause", "reset"),
     ("mailbox.mail_too_short", DROPPED, "last = counter"),
+    ("sdo_information.list_begun", Operator.WRONG_TARGET, "LISTING", "stays"),
+    ("sdo.download_begun", DROPPED, "expected_toggle = false"),
     ("sdo.upload_expedited", SILENT, "send sdo_upload_expedited"),
 )
 
@@ -631,6 +653,18 @@ MISSING: Final[Mapping[str, tuple[str, Mistake]]] = {
     "drive: ds402/quick_stop/switch_on/enable_operation/word_": (
         EDGES,
         ("ds402.row_5_second", TARGET, "SWITCHED_ON", "stays"),
+    ),
+    "configuration: sdo/configuration/watchdog/1C12": (
+        AFAG,
+        ("al.watchdog_kept", TARGET, "stays", "INIT"),
+    ),
+    "complete: sdo/complete_and_single/": (
+        DRIVE,
+        ("sdo.upload_normal", DROPPED, "complete = false"),
+    ),
+    "information: sdo_information/object/": (
+        DRIVE,
+        ("sdo_information.description_goes_on", TARGET, "TELLING", "stays"),
     ),
     "drive: ds402/early/": (EDGES, ("ds402.row_1", TARGET, "SWITCH_ON_DISABLED", "stays")),
 }

@@ -188,8 +188,6 @@ def _of_values(model: Model, limits: Limits) -> Iterator[Request]:
         "turned": segment(value[:1], toggle=True, last=False),
         "too_long": segment(value + b"\1", toggle=False, last=False),
         "too_early": segment(value[:-1], toggle=False, last=True),
-        "turned_and_too_long": segment(value + b"\1", toggle=True, last=False),
-        "turned_and_too_early": segment(value[:-1], toggle=True, last=True),
     }
     for name, message in segments.items():
         yield Request(f"download_segment_{name}", [begun, message])
@@ -263,8 +261,6 @@ def _complete(model: Model, limits: Limits) -> Iterator[Request]:
             if odd is not None:
                 wrong = normal_download(model, key, odd, limits, complete=True)
                 shapes["_out_of_range"] = wrong
-                longer = normal_download(model, key, odd + b"\1", limits, complete=True)
-                shapes["_out_of_range_longer"] = longer
             for word, messages in shapes.items():
                 yield Request(f"complete_download_{name}{word}_{at}", messages, FEATURE)
             part = [initiate(*key, len(data), b"")]

@@ -14,6 +14,7 @@ from ecatspec.spec.language.check import check_protocol, check_words
 from ecatspec.spec.language.check_texts import check_texts
 from ecatspec.spec.language.diagnostics import SpecError
 from ecatspec.spec.language.ir import Fault
+from ecatspec.spec.language.kept import kept
 from ecatspec.spec.language.merge import merge_device, merge_standard, with_fault
 from ecatspec.spec.language.overlap import STANDARD
 from ecatspec.spec.language.parse import decode, parse_text
@@ -132,7 +133,7 @@ def _files(folder: str) -> list[Traversable]:
 def _shipped(folder: str, name: str) -> SourceText:
     raw = resources.files("ecatspec.spec").joinpath(folder, name).read_bytes()
     file = f"spec/{folder}/{name}"
-    return parse_text(decode(raw, file), file)
+    return kept(f"{folder}-{name}", raw, lambda: parse_text(decode(raw, file), file))
 
 
 def _standard_texts() -> tuple[SourceText, ...]:

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from functools import cache
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from lark import Lark, Token, Tree
@@ -84,6 +82,7 @@ from ecatspec.spec.language.ir import (
     Variable,
     Word,
 )
+from ecatspec.spec.language.kept import folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -186,28 +185,14 @@ def decode(raw: bytes, file: str) -> str:
 @cache
 def _parser() -> Lark:
     grammar = resources.files(__package__).joinpath("grammar.lark").read_text(encoding="utf-8")
+    place = folder()
     return Lark(
         grammar,
         parser="lalr",
         propagate_positions=True,
         maybe_placeholders=True,
-        cache=_cache_file(),
+        cache=False if place is None else str(place / "grammar"),
     )
-
-
-def _cache_file() -> str | bool:
-    """Where the tables of the grammar are kept between starts; False: nowhere.
-
-    They are unpickled, so the folder must be one that nobody else can write to.
-    """
-    try:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ecatspec"
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        kept = folder.stat()
-    except (OSError, RuntimeError):
-        return False
-    own = kept.st_uid == os.getuid() if hasattr(os, "getuid") else True
-    return str(folder / "grammar") if own and not kept.st_mode & 0o022 else False
 
 
 # --- syntax errors -------------------------------------------------------------------------------

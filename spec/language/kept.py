@@ -1,0 +1,77 @@
+"""The only place for what is kept between starts: it would take long to work out again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+import tempfile
+from contextlib import suppress
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_T = TypeVar("_T")
+
+
+def folder() -> Path | None:
+    """Give where things are kept between starts; None: nowhere.
+
+    They are unpickled, so the folder must be one that nobody else can write to.
+    """
+    try:
+        place = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ecatspec"
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = place.stat()
+    except (OSError, RuntimeError):
+        return None
+    own = status.st_uid == os.getuid() if hasattr(os, "getuid") else True
+    return place if own and not status.st_mode & 0o022 else None
+
+
+def kept(name: str, source: bytes, make: Callable[[], _T]) -> _T:
+    """Give what `make` gives; what it gave at an earlier start for the same `source` and program.
+
+    One answer is kept under each name, which may be that of a file.
+    """
+    place = folder()
+    if place is None:
+        return make()
+    file = place / f"{name}.pickle"
+    key = hashlib.sha256(_program() + source).digest()
+    # a file may have been cut off, or be of another version: whatever goes wrong, it is made anew
+    with suppress(Exception):
+        told, answer = pickle.loads(file.read_bytes())  # noqa: S301  the folder is one's own
+        if told == key:
+            found: _T = answer
+            return found
+    made = make()
+    with suppress(OSError):
+        _write(file, pickle.dumps((key, made), pickle.HIGHEST_PROTOCOL))
+    return made
+
+
+def _write(file: Path, data: bytes) -> None:
+    descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=file.stem)
+    try:
+        with os.fdopen(descriptor, "wb") as whole:
+            whole.write(data)
+        Path(name).replace(file)
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+@cache
+def _program() -> bytes:
+    """Give a digest of what decides how texts are read."""
+    package = resources.files(__package__)
+    parts = (f for f in package.iterdir() if f.name.endswith((".py", ".lark")))
+    digest = hashlib.sha256()
+    for part in sorted(parts, key=lambda part: part.name):
+        digest.update(part.read_bytes())
+    return digest.digest()

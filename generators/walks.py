@@ -358,7 +358,8 @@ class _Walker:
         """Assign or map process data, whole or in part."""
         if not self._ground.configurations:
             return ()
-        stimuli = self._dice.pick(self._ground.configurations)
+        picked = self._dice.pick(self._ground.configurations)
+        stimuli = tuple(s for s in picked if not isinstance(s, Happen) or s.event in self._events)
         if self._dice.one_in(3):
             return stimuli[self._dice.below(len(stimuli)) :]
         return stimuli

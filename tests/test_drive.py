@@ -200,6 +200,9 @@ def test_no_truth_of_a_condition_is_blamed(condition: Condition) -> None:
     assert blamed(device, UNPINNED, sample(73)) == []
 
 
+WATCHDOG = "process_data", "expired"
+
+
 class Tardy(VirtualSubDevice):
     """A device that looks at its outputs, and does what comes by itself, as late as it may."""
 
@@ -219,6 +222,12 @@ class Tardy(VirtualSubDevice):
         if self._clock >= self._ready:
             self._ready = 0
             super()._take_outputs()
+        elif WATCHDOG in self._alarms:
+            # the watchdog is the controller's: a write restarts it, looked at or not
+            environment = Environment(self.state.slots, {}, {})
+            time = self.model.definition("watchdog_time")(environment)
+            assert isinstance(time, int)
+            self._alarms[WATCHDOG] = (self._clock + time, self._alarms[WATCHDOG][1])
 
 
 @pytest.mark.parametrize("seed", range(3))

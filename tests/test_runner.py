@@ -60,8 +60,9 @@ class Wrapped:
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         counter, data = self.device.read(address, length)
-        if self.trouble is None and "wrong" in self.protocols and length == 2:
-            return counter, bytes([data[0] | 0x10, data[1]])
+        at = MODEL.protocol.registers["al_status"].address
+        if self.trouble is None and "wrong" in self.protocols and address == at:
+            return counter, bytes([data[0] | 0x10, *data[1:]])
         return counter, data
 
     def write(self, address: int, data: bytes) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 
 import pytest
@@ -65,6 +66,13 @@ def test_the_sound_device_is_not_blamed(ground: Ground) -> None:
     made = suite(ground)
     assert made.cases
     assert not made.blamed
+
+
+@pytest.mark.xdist_group("together")
+@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is only one process")
+def test_what_belongs_together_runs_in_one_process(request: pytest.FixtureRequest) -> None:
+    # or the suite of each device is made in all of them
+    assert request.node.nodeid.endswith("@together")
 
 
 def test_what_the_texts_leave_open_is_no_mistake() -> None:

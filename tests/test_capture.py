@@ -1,4 +1,4 @@
-"""The only place for the tests of conformance/capture.py: captures made, broken and real."""
+"""The only place for the tests of conformance/capture: captures made, broken and real."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ecatspec.conformance.capture import (
+from ecatspec.conformance.capture.frames import Bits, WireFormat
+from ecatspec.conformance.capture.transactions import (
     LOST_AFTER,
-    Bits,
     Capture,
     CaptureError,
     Statistics,
-    Transaction,
-    WireFormat,
 )
 from ecatspec.model.fmmu import fmmu_registers
 from ecatspec.spec.language.load import load_standard
@@ -27,6 +25,8 @@ from ecatspec.spec.language.load import load_standard
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from ecatspec.conformance.capture.segment import Transaction
 
 NUMBER: Final = {
     "NOP": 0,

@@ -1,0 +1,1 @@
+"""The only place for what a capture file holds: transactions, per SubDevice."""

@@ -1,0 +1,270 @@
+"""The only place for tests of examples/c_slave: it conforms, and each planted fault is found."""
+
+from __future__ import annotations
+
+import random
+import re
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance.devices import load
+from ecatspec.conformance.kit import check_adapter
+from ecatspec.conformance.process import ProcessAdapter
+from ecatspec.conformance.runner import Runner, run_device
+from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.compiled import Model
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.conformance.verdict import Verdict
+    from ecatspec.generators.case import Case
+
+SOURCES = Path(__file__).resolve().parent.parent / "examples" / "c_slave"
+TEXT = str(SOURCES / "slave.ecs")
+DEPTH = "quick"
+
+WHERE = {
+    "AL_CODE_FORGOTTEN": "al/",
+    "AL_ERROR_NOT_LATCHED": "al/",
+    "AL_UNKNOWN_STATE": "al/",
+    "AL_MAILBOX_UNCHECKED": "al/",
+    "MAILBOX_COUNTER_IGNORED": "mailbox/",
+    "MAILBOX_LENGTH_UNCHECKED": "sdo/malformed/",
+    "MAILBOX_COUNTER_STUCK": "mailbox/",
+    "REPEAT_UNACKNOWLEDGED": "mailbox/",
+    "SDO_SIZE_UNCHECKED": "sdo/download_",
+    "SDO_WRONG_ABORT": "sdo/no_subindex/",
+    "SDO_RANGE_ONE_SIDED": "sdo/range_",
+    "SDO_STATE_UNCHECKED": "sdo/upload_in_",
+    "SEGMENT_TOGGLE_UNCHECKED": "sdo/transfer/",
+    "SEGMENT_LAST_TOO_EARLY": "sdo/transfer/",
+    "SEGMENT_LAST_FORGOTTEN": "sdo/transfer/",
+    "WATCHDOG_IGNORED": "process_data/",
+    "OUTPUTS_IN_SAFEOP": "ds402/up_again/",
+    "PDO_LENGTH_UNCHECKED": "process_data/",
+    "RESET_BY_LEVEL": "ds402/reset_held/",
+    "QUICK_STOP_IGNORED": "ds402/shutdown/enable_operation/",
+}
+"""The cases of a quick run that show a fault, so that not all of them run for each."""
+
+COMMANDS = (0x00, 0x01, 0x10, 0x11, 0x21, 0x23, 0x40, 0x60, 0x70, 0x80, 0xFF)
+"""Bytes that begin SDO requests."""
+
+EXERCISED = {
+    # AL state machine and process data
+    "al.held_back",
+    "al.init_to_preop_refused",
+    "al.mailbox_taken_away",
+    "al.preop_to_safeop_refused",
+    "al.process_data_taken_away",
+    "al.safeop_to_op",
+    "al.safeop_to_op_refused",
+    "al.watchdog_in_op",
+    "process_data.expired_unseen",
+    "process_data.outputs_enabled",
+    "process_data.outputs_taken",
+    # mailbox
+    "mailbox.beyond_refused",
+    "mailbox.mail_duplicate",
+    "mailbox.mail_taken",
+    "mailbox.mail_too_short",
+    "mailbox.mail_unheard",
+    "mailbox.nothing_repeated",
+    "mailbox.repeated",
+    "mailbox.type_refused",
+    # SDO
+    "sdo.complete_upload_refused",
+    "sdo.download_read_only",
+    "sdo.download_too_long",
+    "sdo.download_too_short",
+    "sdo.download_wrong_state",
+    "sdo.unknown_aborted",
+    "sdo.upload_expedited",
+    "sdo.upload_normal",
+    "sdo.upload_no_object",
+    "sdo.upload_no_subindex",
+    "sdo.upload_write_only",
+    "sdo.upload_wrong_state",
+    "sdo.value_taken",
+    "sdo.value_too_high",
+    "sdo.value_too_low",
+    # segments
+    "sdo.abort_silent",
+    "sdo.download_begun",
+    "sdo.download_segment_stray",
+    "sdo.download_toggle_ends",
+    "sdo.segment_beyond",
+    "sdo.segment_last",
+    "sdo.segment_last_too_early",
+    "sdo.segment_taken",
+    "sdo.upload_complete",
+    "sdo.upload_goes_on",
+    "sdo.upload_segment_sent",
+    "sdo.upload_toggle_ends",
+    "sdo.value_taken_by_segments",
+    # CiA 402
+    "ds402.disable_operation_5",
+    "ds402.disable_voltage_9",
+    "ds402.enable_operation_4",
+    "ds402.fault_13",
+    "ds402.fault_reset_15",
+    "ds402.fault_stays",
+    "ds402.initialised_1",
+    "ds402.mode_taken",
+    "ds402.quick_stop_11",
+    "ds402.reaction_done_14",
+    "ds402.shutdown_2",
+    "ds402.shutdown_6",
+    "ds402.shutdown_8",
+    "ds402.stopped_12",
+    "ds402.switch_on_3",
+}
+"""Rules by which a run has to go for sure, so that its silence means something."""
+
+
+def build(folder: Path, *arguments: str) -> Path:
+    make, compiler = shutil.which("make"), shutil.which("cc")
+    if make is None or compiler is None:
+        pytest.skip("no C compiler: needs make and cc")
+    command = [make, "-s", "-C", str(SOURCES), f"BUILD={folder}", f"CC={compiler}", *arguments]
+    made = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    return folder / "slave"
+
+
+@pytest.fixture(scope="session")
+def slave(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The device; with a compiler that has sanitizers it ends at the first access out of bounds."""
+    folder = tmp_path_factory.mktemp("c_slave")
+    return build(folder, *(["sanitized"] if sanitizes(folder) else []))
+
+
+def sanitizes(folder: Path) -> bool:
+    """Tell whether the compiler can link sanitizers; some systems have none."""
+    compiler, source = shutil.which("cc"), folder / "empty.c"
+    if compiler is None:
+        return False
+    source.write_text("int main(void) { return 0; }\n")
+    command = [compiler, "-fsanitize=address,undefined", "-o", str(folder / "empty"), str(source)]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+@cache
+def model() -> Model:
+    return Model(load(TEXT))
+
+
+@cache
+def cases() -> tuple[Case, ...]:
+    return tuple(all_cases(model(), NO_LIMITS, DEPTH))
+
+
+def judged(program: Path, prefix: str) -> Iterator[Verdict]:
+    with ProcessAdapter([str(program)]) as adapter:
+        runner = Runner(model(), adapter, adapter.describe())
+        yield from (runner.judge(case) for case in cases() if case.name.startswith(prefix))
+
+
+def test_the_device_conforms(slave: Path) -> None:
+    result = run_device(TEXT, f"exec:{slave}", depth=DEPTH)
+    assert not [(f.verdict.case, f.verdict.observed) for f in result.findings()]
+    odd = [v for v in result.verdicts if v.outcome not in {Outcome.PASS, Outcome.SKIPPED}]
+    assert not odd
+    unable = {v.reason for v in result.verdicts if v.outcome is Outcome.SKIPPED}
+    assert all("cannot raise" in reason for reason in unable), unable
+    assert not EXERCISED - set(result.rules_covered)
+
+
+def test_the_program_keeps_the_contract(slave: Path) -> None:
+    complaints = check_adapter(
+        lambda: ProcessAdapter([str(slave)]),
+        spans=((0x0130, 2), (0x0800, 32), (0x1000, 48)),
+        write=(0x0120, b"\x02\x00"),
+    )
+    assert not complaints
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "{",
+        "[]",
+        '{"op":',
+        '{"op":"read"}',
+        '{"op":"read","address":65535,"length":2}',
+        '{"op":"write","address":288,"data":"0"}',
+        '{"op":"write","address":288,"data":"zz"}',
+        '{"op":"advance","seconds":-1}',
+        '{"op":"local","event":"ds402.mains_on"}',
+        '{"op":"dance"}',
+    ],
+)
+def test_the_program_refuses_what_is_no_request(slave: Path, line: str) -> None:
+    done = subprocess.run(
+        [str(slave)], input=f"{line}\n", capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith('{"ok":false,"error":"')
+    assert not done.stderr
+
+
+def test_an_event_that_it_does_not_know_is_no_verdict(slave: Path) -> None:
+    with ProcessAdapter([str(slave)]) as adapter, pytest.raises(AdapterError):
+        adapter.local("al.sync_lost")
+
+
+def test_no_access_breaks_it(slave: Path) -> None:
+    dice = random.Random(402)
+    places = (
+        0x0120,
+        0x0400,
+        0x0420,
+        *range(0x0800, 0x0820),
+        0x1000,
+        0x1080,
+        0x1100,
+        0x1106,
+        0x1400,
+    )
+    header = bytes.fromhex("0a00000000")
+    with ProcessAdapter([str(slave)]) as adapter:
+        for attempt in range(3000):
+            if attempt % 20 == 0:
+                adapter.reset()
+                adapter.write(0x0800, bytes.fromhex("00103000260001008010300022000100"))
+                adapter.write(0x0120, b"\x02\x00")
+            address, length = dice.choice(places), dice.choice((1, 2, 6, 7, 8, 48, 1000))
+            match dice.randrange(4):
+                case 0:
+                    adapter.read(address, length)
+                case 1:
+                    adapter.write(address, dice.randbytes(length))
+                case 2:
+                    adapter.read(0x1080, 48)
+                case _:
+                    request = bytes(
+                        (3 | attempt % 8 << 4, 0, 0x20, *dice.choices(COMMANDS), 0, 0x20, 0)
+                    )
+                    size = bytes((dice.choice((5, 60, 120, 200)), 0, 0, 0))
+                    adapter.write(0x1000, (header + request + size + dice.randbytes(32))[:48])
+
+
+def test_every_fault_has_its_cases() -> None:
+    named = re.findall(r"^ {4}FAULT_(\w+)\b", (SOURCES / "faults.h").read_text(), re.MULTILINE)
+    assert named == ["NONE", *WHERE]
+
+
+@pytest.mark.xdist_group("faults of c_slave")  # the cases are made once for all of them
+@pytest.mark.parametrize("fault", WHERE)
+def test_a_fault_is_found(fault: str, tmp_path: Path) -> None:
+    program = build(tmp_path, f"FAULT={fault}")
+    assert any(verdict.outcome in BLAMING for verdict in judged(program, WHERE[fault]))

@@ -36,7 +36,7 @@ lint: $(VENV)/developed  ## formatting, rules and types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/mypy tests
+	$(BIN)/mypy tests bench docs examples
 
 format: $(VENV)/developed  ## format the code and repair what can be repaired
 	$(BIN)/ruff check --fix-only .

@@ -25,28 +25,30 @@ import dpkt.pcapng
 from rich.console import Console
 from rich.table import Table
 
-from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.monitor import monitor_file
+from ecatspec.conformance.process import ProcessAdapter
 from ecatspec.conformance.session import Session
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.model.compiled import Model
 from ecatspec.model.oracle import Oracle
-from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.adapter import Adapter, Description
     from ecatspec.generators.case import Case
     from ecatspec.model.candidates import Exchange, Mismatch
+    from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Protocol
 
 Call: TypeAlias = tuple[str, tuple[object, ...]]
 """A method by name, and its arguments."""
 
 DEVICE: Final = "kollmorgen-akd"
+HOST: Final = "ecatspec.conformance.host"
 CAPTURE: Final = "soem-sdinfo-akd.pcapng"
 CASES: Final = "sdo/upload/"
 CHOICES: Final = {"emulation": "none", "mailbox_support": "present"}
@@ -88,8 +90,11 @@ class Row:
 class Recorder:
     """A device that remembers what was asked of it; as an adapter, as far as a session goes."""
 
-    device: VirtualSubDevice
+    device: Adapter
     calls: list[Call] = field(default_factory=list)
+
+    def describe(self) -> Description:
+        return self.device.describe()
 
     def reset(self) -> None:
         self.calls.append(("reset", ()))
@@ -115,9 +120,13 @@ class RecordingOracle(Oracle):
         super().__init__(model)
         self.calls: list[Call] = []
 
-    def power_on(self, choices: dict[str, str] | None = None) -> None:
-        self.calls.append(("power_on", (choices,)))
-        super().power_on(choices)
+    def power_on(
+        self,
+        choices: dict[str, str] | None = None,
+        objects: Mapping[ObjectKey, bytes] | None = None,
+    ) -> None:
+        self.calls.append(("power_on", (choices, objects)))
+        super().power_on(choices, objects)
 
     def observe(self, exchange: Exchange) -> Mismatch | None:
         self.calls.append(("observe", (exchange,)))
@@ -128,9 +137,9 @@ class RecordingOracle(Oracle):
         self.calls.append(("settled", (time,)))
         return super().settled(time)
 
-    def deadline(self) -> int | None:
-        self.calls.append(("deadline", ()))
-        return super().deadline()
+    def deadline(self, time: int) -> int | None:
+        self.calls.append(("deadline", (time,)))
+        return super().deadline(time)
 
 
 # --- measuring ------------------------------------------------------------------------------------
@@ -180,13 +189,13 @@ def exchanges(protocol: Protocol) -> list[Row]:
     model = Model(protocol)
     model.dictionary.close()  # as a run does for a device that is made of the text
     cases = [case for case in sdo_cover(model, NO_LIMITS) if case.name.startswith(CASES)]
-    recorder, recording = Recorder(VirtualSubDevice(protocol)), RecordingOracle(model)
+    recorder, recording = Recorder(make(DEVICE, {})), RecordingOracle(model)
     recorded = Session(cast("Adapter", recorder), model, recording)
     check(recorded, cases)
     count = recorded.exchanges
 
-    device = VirtualSubDevice(protocol)
-    session = Session(cast("Adapter", device), model, Oracle(model))
+    device = make(DEVICE, {})
+    session = Session(device, model, Oracle(model))
     checked, bare, judged = in_turns(
         ROUNDS,
         partial(check, session, cases),
@@ -204,7 +213,8 @@ def exchanges(protocol: Protocol) -> list[Row]:
         note,
     )
 
-    adapter = open_adapter("model", DEVICE)
+    asked = json.dumps({"device": DEVICE, "options": {}})
+    adapter = ProcessAdapter((sys.executable, "-P", "-m", HOST, "model", asked))
     try:
         session = Session(adapter, model, Oracle(model))
         checked, bare, judged = in_turns(

@@ -171,7 +171,7 @@ def monitor(*, file: str, device: str, as_json: bool) -> int:
     """Judge FILE, a capture (pcap or pcapng) of real traffic, one report for each SubDevice."""
     from pathlib import Path
 
-    from ecatspec.conformance.capture import CaptureError
+    from ecatspec.conformance.capture.transactions import CaptureError
     from ecatspec.conformance.devices import load
 
     protocol = load(device)
@@ -399,6 +399,9 @@ def prove(*, device: str | None, as_json: bool) -> int:
 @click.argument("device")
 @click.option("--own", is_flag=True, help="Only rules that the text of DEVICE brings itself.")
 @click.option(
+    "--only", default="", metavar="WORDS", help="Only mistakes that are described with these words."
+)
+@click.option(
     "--depth", type=click.Choice(DEPTHS), default="default", show_default=True, help="As for run."
 )
 @click.option("--workers", type=click.IntRange(1), help="Processes; all processors without it.")
@@ -412,7 +415,14 @@ def prove(*, device: str | None, as_json: bool) -> int:
 )
 @click.option("--json", "as_json", is_flag=True, help="Give the analysis as JSON.")
 def mutate(
-    *, device: str, own: bool, depth: str, workers: int | None, at_least: float, as_json: bool
+    *,
+    device: str,
+    own: bool,
+    only: str,
+    depth: str,
+    workers: int | None,
+    at_least: float,
+    as_json: bool,
 ) -> int:
     """Measure the suite of DEVICE by the mistakes that it finds.
 
@@ -425,6 +435,7 @@ def mutate(
         found = analyse(
             device,
             own=own,
+            only=only,
             depth=depth,
             workers=workers or os.cpu_count() or 1,
             progress=progress,

@@ -7,7 +7,8 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.capture import Bits, Capture, WireFormat
+from ecatspec.conformance.capture.frames import Bits, WireFormat
+from ecatspec.conformance.capture.transactions import Capture
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
 from ecatspec.model.candidates import Exchange, Mismatch
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from ecatspec.conformance.capture import Transaction
+    from ecatspec.conformance.capture.segment import Transaction
     from ecatspec.model.state import RuleName
 
 _MICROSECONDS = 1_000_000

@@ -433,6 +433,7 @@ def analyse(
     device: str,
     *,
     own: bool = False,
+    only: str = "",
     depth: str = "default",
     mailbox: str = "",
     workers: int = 1,
@@ -441,15 +442,19 @@ def analyse(
     """Find out what becomes of the mutants of a device's texts.
 
     `own`: only those of rules and definitions that the text of the device brings itself.
+    `only`: those whose description holds these words.
     `mailbox` gives the areas another length: in a small one transfers take several messages.
 
     Raises:
-        UserError: There is no such device, or it is blamed as it is.
+        UserError: There is no such device or mutant, or the device is blamed as it is.
 
     """
-    ground = _Ground(device, depth, progress, mailbox)
+    built = as_built(load(device, mailbox))
     standard = set(_files(load_standard())) if own else set()
-    every = [mutant for mutant in mutants(ground.built) if mutant.at.file not in standard]
+    every = [m for m in mutants(built) if m.at.file not in standard and only in str(m)]
+    if only and not every:
+        raise UserError(f"no mutant of {device} has {only!r} in its description; leave out --only")
+    ground = _Ground(device, depth, progress, mailbox)
     fated: dict[int, Fated] = {}
     _AT_WORK.append((ground, every))
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("fork"), _begin)

@@ -162,11 +162,15 @@ class Runner:
         return "passed"
 
     def judge(self, case: Case) -> Verdict:
-        """Run one case from power-on; what is only believed of the device blames nobody."""
+        """Run one case from power-on; on what is only believed of the device no verdict rests.
+
+        An accident may explain what belief does not allow, so what is not conclusive is no verdict
+        either.
+        """
         if untried := self._untried(case):
             return untried
         verdict = self._judge(case)
-        if verdict.outcome in BLAMING and self.believed:
+        if verdict.outcome is not Outcome.PASS and self.believed:
             self.believed = {}
             verdict = self._judge(case)
         return verdict

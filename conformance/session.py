@@ -50,11 +50,13 @@ DATA_OUT, DATA_IN = PROCESS_DATA
 NOTHING: Final[Mapping[ObjectKey, bytes]] = MappingProxyType({})
 _SECOND = 1_000_000
 _FIRST_WAIT = 500
-_SLOWER = 4
+_SLOWER = {True: 400, False: 4}
+"""Each wait for the same is so much longer than the one before, in virtual and in real time: to
+wait costs nothing in one, to look nothing in the other."""
 _SLOWEST = 500_000
 """Microseconds between two writes of the same process data at most."""
-_OFTEN = 4
-"""Writes of process data in the time of the watchdog."""
+_OFTEN = {True: 2, False: 4}
+"""Writes of process data in the time of the watchdog, in virtual and in real time: one is exact."""
 _AL = ("al_status", "al_status_code")
 _MAIL = (f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control")
 WATCHED = (*_AL, *_MAIL)
@@ -90,6 +92,10 @@ class Session:
     """The words that are written cyclically, None where nothing is."""
     _began: float | None = None
     """When the clock of a device in real time was 0; None: time passes by waiting alone."""
+
+    @property
+    def _virtual(self) -> bool:
+        return self._began is None
 
     def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
         """Power cycle the device."""
@@ -214,7 +220,11 @@ class Session:
         """Give the time between two writes of process data that keeps the watchdog quiet."""
         environment = Environment(self.oracle.example().slots, {}, {})
         time = self.model.definition("watchdog_time")(environment)
-        return max(1, min(_SLOWEST, time // _OFTEN)) if isinstance(time, int) and time else _SLOWEST
+        return (
+            max(1, min(_SLOWEST, time // _OFTEN[self._virtual]))
+            if isinstance(time, int) and time
+            else _SLOWEST
+        )
 
     def _read_inputs(self) -> None:
         area = self.oracle.process_area(DATA_IN)
@@ -244,7 +254,7 @@ class Session:
         wait = _FIRST_WAIT
         while not self._write(start, data[:length].ljust(length, b"\0")) and self.time <= limit:
             self._wait(wait)
-            wait *= _SLOWER
+            wait *= _SLOWER[self._virtual]
 
     def _send_segments(self) -> None:
         # each segment brings a byte at least, so an upload ends after as many as it has bytes
@@ -281,7 +291,7 @@ class Session:
             deadline = self.oracle.deadline(self.time)
             left = 0 if deadline is None else deadline - self.time + 1
             self._wait(max(1, min(wait, left)))
-            wait *= _SLOWER
+            wait *= _SLOWER[self._virtual]
 
     def _look(self, *, unread: bool = False) -> None:
         # the code is judged only once the state is known, so the state comes first

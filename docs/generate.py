@@ -51,8 +51,8 @@ def swaps() -> str:
     names = devices()
     pairs = [(text, device) for text in names for device in names]
     with ProcessPoolExecutor() as pool:
-        found = pool.map(swapped, *zip(*pairs, strict=True))
-        results = dict(zip(pairs, found, strict=True))
+        every = pool.map(swapped, *zip(*pairs, strict=True))
+        results = dict(zip(pairs, every, strict=True))
     lines = [
         "# Swapped devices",
         "",

@@ -13,6 +13,7 @@ from ecatspec.generators.transfers import (
     other_sample,
     pattern,
     read,
+    segment,
     upload,
 )
 from ecatspec.model.dictionary import encode_value, size_of
@@ -63,12 +64,19 @@ def _mixed(model: Model, limits: Limits) -> Iterator[Case]:
     all_of_it, one = read(found, 0, complete=True), read(*key)
     put = normal_download(model, (found, 0), image(whole[found], 0), limits, first=0, complete=True)
     part = normal_download(model, key, pattern(size_of(long), 1), limits, first=0)
-    runs: dict[str, list[Stimulus]] = {
-        "upload": [*part, *all_of_it, *one, *all_of_it],
-        "download": [*put, *part, *one, *put, *all_of_it],
+    least = min(whole, key=lambda i: len(image(whole[i], 0)))
+    longer = image(whole[least], 0) + b"\1"
+    refused = normal_download(model, (least, 0), longer, limits, complete=True)
+    stray = segment(b"\1", toggle=False, last=True)
+    parts = [r for n in (0, 1) for r in (*read(found, n, complete=True), *read(found, n))]
+    behind = "of an object and of an entry behind each other"
+    runs: dict[str, tuple[str, list[Stimulus]]] = {
+        "upload": (f"upload {behind}", [*part, *all_of_it, *one, *all_of_it]),
+        "download": (f"download {behind}", [*put, *part, *one, *put, *all_of_it]),
+        "parts": ("uploads of an object, and of the entry that it begins with", parts),
+        "refused": ("a segment after an object that was refused", [*refused, stray]),
     }
-    for word, stimuli in runs.items():
-        title = f"{word} of an object and of an entry behind each other"
+    for word, (title, stimuli) in runs.items():
         yield _case(model, f"complete_and_single/{word}", title, stimuli)
 
 

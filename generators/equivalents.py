@@ -27,7 +27,7 @@ from ecatspec.spec.language.ir import (
     Range,
     Rule,
 )
-from ecatspec.spec.language.scope import Scope, UnresolvedName
+from ecatspec.spec.language.scope import Scope, UnresolvedName, nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -73,6 +73,8 @@ class Equivalents:
             for rule in machine.rules
         )
         self._resting = {m.name: self._rests_in(m) for m in built.machines.values()}
+        self._forgetful = {m.name for m in built.machines.values() if self._forgets(m)}
+        """Machines of which nobody can tell in which state they rest."""
 
     def proved(self, mutant: Mutant) -> bool:
         """Tell whether a mutant is proved to do what the device does."""
@@ -160,6 +162,35 @@ class Equivalents:
                 if not self._can(here, *none):
                     return True
         return False
+
+    def _forgets(self, machine: Machine) -> bool:
+        """Tell whether each input that comes to a machine at rest is taken alike in every state.
+
+        Each leads to a state that does not depend on the one before, and nobody asks for that.
+        """
+        built, every = self._built, set(machine.states)
+        others = (row for other in built.machines.values() for row in rows_of(other))
+        shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
+        asking = (*built.definitions.values(), *shown, *others)
+        if any(_asks_for(part, f"{machine.name}.state") for part in asking):
+            return False
+        return all(
+            isinstance(row, Rule) and every <= set(row.sources) and row.target is not None
+            for source in machine.inputs
+            if self._comes_at_rest((machine.name, source.name))
+            for row in self._rows[machine.name, source.name]
+        )
+
+    def _comes_at_rest(self, target: Target) -> bool:
+        """Tell whether an input may come but from rules of the machine itself, at once."""
+        machine, name = target
+        event = ".".join(target)
+        source = next(i for i in self._built.machines[machine].inputs if i.name == name)
+        if source.kind not in _INSIDE:
+            return True
+        givers = {giver for (giver, _), rule in self._live.items() if event in _given(rule)}
+        later = any(event == late.target for rule in self._live.values() for late in rule.laters)
+        return self._comes(target) and (givers != {machine} or later)
 
     def _comes(self, target: Target) -> bool:
         """Tell whether an input can come, as far as is known."""
@@ -302,11 +333,15 @@ class Equivalents:
 
     def _unlike_effects(self, one: Row | None, other: Row | None, moment: Moment) -> Term:
         """Give what holds where two rows may do something different."""
-        if _effects(one) != _effects(other) or (None in {one, other} and self._delivered(moment)):
+        if self._effects(one) != self._effects(other):
+            return True
+        if None in {one, other} and self._delivered(moment):
             return True
         parts: list[Term] = []
         machine = moment.scope.machine or ""
-        for source in self._built.machines[machine].states:
+        goes_on = any(f.startswith(f"{machine}.") for r in (one, other) for f in _next(r))
+        asked = goes_on or machine not in self._forgetful
+        for source in self._built.machines[machine].states if asked else ():
             if _target(one, source) != _target(other, source):
                 (value,) = self._numbers(machine, {source})
                 parts.append(equal(self._state(machine), value))
@@ -316,6 +351,27 @@ class Equivalents:
                 was = self._world.get(slot)
                 parts.append(self._differ(*(change.get(slot, was) for change in changes)))
         return any_of(parts)
+
+    def _effects(self, row: Row | None) -> tuple[object, ...]:
+        """Give what a row does beside its target and what it sets; its time limit is none of it."""
+        if not isinstance(row, Rule):
+            return ((), (), (), None, None, ())
+        sends = tuple(
+            (send.frame, tuple((name, _chosen(value)) for name, value in send.fields))
+            for send in row.sends
+        )
+        gives = tuple(give for give in row.gives if not self._in_vain(give.target))
+        return (row.stores, sends, gives, row.after, row.take, row.laters)
+
+    def _in_vain(self, event: str) -> bool:
+        """Tell whether all that an event does is to change a state that makes no difference."""
+        machine, _, name = event.partition(".")
+        return machine in self._forgetful and all(
+            isinstance(row, Rule)
+            and (row.after, row.take) == (None, None)
+            and not (row.updates or row.stores or row.sends or row.gives or row.laters)
+            for row in self._rows[machine, name]
+        )
 
     def _delivered(self, moment: Moment) -> bool:
         """Tell whether an input is a message that the mailbox hands on, which has to be taken."""
@@ -354,17 +410,6 @@ def _target(row: Row | None, source: str) -> str:
     return row.target
 
 
-def _effects(row: Row | None) -> tuple[object, ...]:
-    """Give what a row does beside its target and what it sets; its time limit is none of it."""
-    if not isinstance(row, Rule):
-        return ((), (), (), None, None, ())
-    sends = tuple(
-        (send.frame, tuple((name, _chosen(value)) for name, value in send.fields))
-        for send in row.sends
-    )
-    return (row.stores, sends, row.gives, row.after, row.take, row.laters)
-
-
 def _chosen(value: Expression) -> Expression:
     """Give what the device sends for a field: of several values that may be the first."""
     match value:
@@ -375,6 +420,15 @@ def _chosen(value: Expression) -> Expression:
             return one if one == other else replace(value, then=one, otherwise=other)
         case _:
             return value
+
+
+def _asks_for(part: object, name: str) -> bool:
+    """Tell whether a part of the texts speaks of something by this name."""
+    return any(isinstance(node, Name) and node.path == name for node in nodes_in(part))
+
+
+def _next(row: Row | None) -> set[str]:
+    return _given_at_once(row) if isinstance(row, Rule) else set()
 
 
 def _given(rule: Rule) -> set[str]:

@@ -17,7 +17,7 @@ from ecatspec.generators.process_data import image, settings
 from ecatspec.generators.stimulus import register_bytes, registers_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from ecatspec.generators.case import Stimulus
     from ecatspec.model.compiled import Model
@@ -28,14 +28,20 @@ AWHILE = 0.05
 """Seconds after each stimulus: shorter than a watchdog, longer than what comes by itself."""
 
 
-def play(model: Model, device: VirtualSubDevice, stimuli: Iterable[Stimulus]) -> None:
+def play(
+    model: Model,
+    device: VirtualSubDevice,
+    stimuli: Iterable[Stimulus],
+    words: Mapping[str, int] | None = None,
+) -> Mapping[str, int] | None:
     """Give stimuli that need no mailbox, each with the time that it takes to settle.
+
+    `words` are written cyclically already, None: nothing is. Give what is written in the end.
 
     Raises:
         TypeError: A stimulus needs the mailbox.
 
     """
-    words: dict[str, int] | None = None
     for stimulus in stimuli:
         match stimulus:
             case WriteRegister():
@@ -45,8 +51,8 @@ def play(model: Model, device: VirtualSubDevice, stimuli: Iterable[Stimulus]) ->
             case SetUpProcessData():
                 for writes in settings(model, device.state, stimulus):
                     device.write(*registers_bytes(model, writes))
-            case WriteOutputs():
-                words = {**(words or {}), **stimulus.words}
+            case WriteOutputs(words=more):
+                words = {**(words or {}), **more}
             case StopOutputs():
                 words = None
             case Wait(microseconds=microseconds):
@@ -59,9 +65,10 @@ def play(model: Model, device: VirtualSubDevice, stimuli: Iterable[Stimulus]) ->
         _cycle(model, device, words)
         device.advance(AWHILE)
         _cycle(model, device, words)
+    return words
 
 
-def _cycle(model: Model, device: VirtualSubDevice, words: dict[str, int] | None) -> None:
+def _cycle(model: Model, device: VirtualSubDevice, words: Mapping[str, int] | None) -> None:
     data = None if words is None else image(model, device.state, words)
     if data is not None:
         device.write(model.parameter("process_data_out", "start"), data)

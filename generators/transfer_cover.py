@@ -100,11 +100,14 @@ def _key(entry: ObjectEntry) -> tuple[int, int]:
 
 def long_entry(model: Model) -> ObjectEntry | None:
     """Give an entry whose upload takes segments, written first where that is needed."""
+    return next(_long_entries(model), None)
+
+
+def _long_entries(model: Model) -> Iterator[ObjectEntry]:
     room = model.parameter("mailbox_in", "length") - model.parameter("initiate_overhead")
     for entry in model.protocol.objects:
         if entry.access is Access.BOTH and not entry.states and room < size_of(entry) <= _ENOUGH:
-            return entry
-    return None
+            yield entry
 
 
 # --- sizes ----------------------------------------------------------------------------------------
@@ -422,6 +425,14 @@ def _uploads(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]
             [ask, download(*key, b"\1"), get],
         ),
     }
+    beside = next((e for e in _long_entries(model) if e.subindex != entry.subindex), None)
+    if beside is not None:
+        begun = _key(beside)
+        filled = normal_download(model, begun, pattern(size_of(beside), 5), limits)
+        runs["upload_wrong_toggle_elsewhere"] = (
+            "the abort of an upload names it, and not the one before",
+            [*filled, ask, SendSegments(), upload(*begun), turned],
+        )
     for name, (title, stimuli) in runs.items():
         feature = _feature(name)
         looked = [*fill, *read(*key), *stimuli]

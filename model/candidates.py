@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -93,7 +93,11 @@ class Candidate:
 
     def having(self, state: State) -> Candidate:
         """Give the explanation with another state."""
-        return self if state is self.state else replace(self, state=state)
+        if state is self.state:
+            return self
+        return Candidate(
+            state, self.inbox, self.outbox, self.loose, self.ready, self.last, self.befell
+        )
 
     def expecting(self, inbox: tuple[Pending, ...]) -> Candidate:
         """Give the explanation with other inputs to serve."""

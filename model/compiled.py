@@ -160,7 +160,7 @@ class Model:
     """One protocol, compiled. `assuming`: conditions as assumed, choices first or pinned."""
 
     def __init__(self, protocol: Protocol, *, assuming: bool = False) -> None:
-        """Compile every rule, view and layout of the protocol."""
+        """Compile every view and layout of the protocol."""
         self.protocol = protocol
         self.assuming = assuming
         self.answers: tuple[defaultdict[object, dict[tuple[object, ...], Any]], ...] = (
@@ -173,22 +173,14 @@ class Model:
         self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
         self.image = ProcessImage(protocol, self.dictionary, self.parameter)
         self._functions = PLAIN | self.dictionary.functions | self.image.functions
-        self.slots: dict[str, int] = {}
         self._definitions: dict[tuple[str, Scope], Getter] = {}
-        initial: list[Value | None] = []
-        for name, value in self._initial():
-            self.slots[name] = len(initial)
-            initial.append(value)
-        self.initial = State(tuple(initial))
-        self.rules: dict[tuple[str, str], tuple[CompiledRule, ...]] = {}
-        for machine in protocol.machines.values():
-            for source in machine.inputs:
-                self.rules[machine.name, source.name] = tuple(
-                    self._rule(machine.name, row)
-                    for row in rows_of(machine)
-                    if row.input == source.name
-                )
-        self._named = {rule.name: rule for rules in self.rules.values() for rule in rules}
+        names, values = zip(*self._initial(), strict=True)
+        self.slots: dict[str, int] = {name: slot for slot, name in enumerate(names)}
+        self.initial = State(values)
+        self._rules: dict[tuple[str, str], tuple[CompiledRule, ...]] = {}
+        self._named: dict[RuleName, CompiledRule] = {}
+        rows = [(m.name, row) for m in protocol.machines.values() for row in rows_of(m)]
+        self._input_of = {RuleName(machine, row.name): row.input for machine, row in rows}
         mailbox = protocol.machines[MAILBOX]
         self._roots = [o for i in mailbox.inputs if i.kind == "frame" for o in i.origin]
         self.own = self._events("own")
@@ -217,9 +209,9 @@ class Model:
         )
         """The machines whose state a register shows."""
         self.open_gaps = frozenset(
-            rule.name
-            for rule in self._named.values()
-            if rule.gap and rule.name.machine in self.displayed
+            RuleName(machine, row.name)
+            for machine, row in rows
+            if isinstance(row, Gap) and machine in self.displayed
         )
         """The gaps of these machines: what rests on their state is open too."""
         self.words: dict[ObjectKey, Word] = {
@@ -314,8 +306,20 @@ class Model:
             case _:
                 raise TypeError(f"{ref} has no slot")
 
+    def rules(self, machine: str, source: str) -> tuple[CompiledRule, ...]:
+        """Give the rules and gaps of an input, compiled when they are asked for first."""
+        found = self._rules.get((machine, source))
+        if found is None:
+            rows = rows_of(self.protocol.machines[machine])
+            found = tuple(self._rule(machine, row) for row in rows if row.input == source)
+            self._rules[machine, source] = found
+            self._named |= {rule.name: rule for rule in found}
+        return found
+
     def named(self, rule: RuleName) -> CompiledRule:
         """Give a rule by its name."""
+        if rule not in self._named:
+            self.rules(rule.machine, self._input_of[rule])
         return self._named[rule]
 
     def decode(self, data: bytes) -> Message | None:

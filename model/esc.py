@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.buffers import ProcessChannel, ThreeBuffers
 from ecatspec.model.fmmu import Fmmu, fmmu_registers
+from ecatspec.model.once import once
 from ecatspec.model.values import bits_of
 from ecatspec.spec.language.ir import Access, Bool
 
@@ -70,11 +71,34 @@ class Channel:
         return address < self.start + self.length <= address + length
 
 
+@dataclass(frozen=True, slots=True)
+class _Status:
+    """The register that tells what became of the buffers of a SyncManager, with masks."""
+
+    name: str
+    reset: int
+    flags: tuple[tuple[str, int], ...]
+    last_buffer: int
+
+
+@once
+def _status_of(model: Model, manager: str) -> _Status:
+    name = f"{manager}_status"
+    flags = ("written", "taken", "read_open", "write_open")
+    return _Status(
+        name,
+        model.protocol.registers[name].reset,
+        tuple((flag, field_mask(model.protocol, name, flag)) for flag in flags),
+        field_mask(model.protocol, name, "last_buffer"),
+    )
+
+
 class Esc:
     """ESC memory of one SubDevice, power-on state."""
 
     def __init__(self, model: Model) -> None:
         """Take addresses, sizes and reset values from the protocol."""
+        self._model = model
         self._protocol = protocol = model.protocol
         self.size = model.parameter("memory_size")
         self._memory = bytearray(self.size)
@@ -317,16 +341,17 @@ class Esc:
 
     def _show_buffers(self, name: str) -> None:
         """Let the status register tell what became of the buffers."""
-        status = f"{name}_status"
-        raw = self._protocol.registers[status].reset
+        status = _status_of(self._model, name)
+        raw = status.reset
         buffers = self._buffers.get(name)
         if buffers is not None:
-            for field in ("written", "taken", "read_open", "write_open"):
-                raw |= field_mask(self._protocol, status, field) * getattr(buffers, field)
+            for field, mask in status.flags:
+                raw |= mask * getattr(buffers, field)
             if buffers.newest is not None:
-                mask = field_mask(self._protocol, status, "last_buffer")
-                raw = raw & ~mask | buffers.newest * (mask & -mask)
-        self.set_register(status, raw)
+                raw = raw & ~status.last_buffer | buffers.newest * (
+                    status.last_buffer & -status.last_buffer
+                )
+        self.set_register(status.name, raw)
 
     def _set_full(self, channel: Channel, *, full: bool) -> None:
         self._channels[channel.name] = replace(channel, full=full)

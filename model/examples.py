@@ -143,7 +143,7 @@ class Example:
         environment = Environment(state.slots, state.known(), event.parameters)
         current = state.slots[model.slots[f"{event.machine}.state"]]
         found: dict[str, bool | None] = {}
-        for rule in model.rules[event.machine, event.input]:
+        for rule in model.rules(event.machine, event.input):
             holds: Value = True if rule.guard is None else rule.guard(environment)
             if current not in rule.sources:
                 holds = False

@@ -67,7 +67,7 @@ def _fire(model: Model, state: State, event: Event) -> list[tuple[Step, tuple[Ev
         return [(Step(forgotten(model, state, event.machine), (), (), 0), ())]
     enabled: list[CompiledRule] = []
     undecided: set[str] = set()
-    for rule in model.rules[event.machine, event.input]:
+    for rule in model.rules(event.machine, event.input):
         if current not in rule.sources:
             continue
         environment.undecided = set()

@@ -152,10 +152,10 @@ class Oracle:
         return True
 
     def deadline(self, time: int) -> int | None:
-        """Give the time by which all that may be to come at `time` must have come."""
+        """Give the next time by which something that may be to come at `time` must have come."""
         deadlines = [p.deadline for c in self.candidates for p in self._due(c, time)]
         deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
-        return max(deadlines, default=None)
+        return min((deadline for deadline in deadlines if deadline >= time), default=None)
 
     def open_until(self, time: int) -> int:
         """Give the time by which the AL has done what the texts leave open; `time`: nothing is."""
@@ -222,15 +222,10 @@ class Oracle:
             if all(text in self._reasons_of(other.state, own) for other, own in others)
         )
 
-    def _reasons_of(self, state: State, history: tuple[RuleName, ...]) -> list[str]:
-        environment = Environment(state.slots, state.known(), {})
+    def _reasons_of(self, state: State, history: tuple[RuleName, ...]) -> tuple[str, ...]:
         last = {rule.machine: rule for rule in history}
-        return [
-            reason_words(reason.wording, [value(environment) for value in reason.values])
-            for rule in last.values()
-            for reason in self.model.reasons.get(rule, ())
-            if reason.guard(environment) is True
-        ]
+        own = tuple(rule for rule in last.values() if rule in self.model.reasons)
+        return _reasons_of(self.model, state, own) if own else ()
 
     def example(self) -> State:
         """Give one state that the device may be in."""
@@ -322,7 +317,7 @@ class Oracle:
 
     def broken(self) -> tuple[str, ...]:
         """Give the properties of the texts that some explanation breaks: the texts are wrong."""
-        found = (self.model.broken(candidate.state) for candidate in self.candidates)
+        found = (_broken(self.model, candidate.state) for candidate in self.candidates)
         return tuple(dict.fromkeys(name for names in found for name in names))
 
     def al_states(self) -> frozenset[str]:
@@ -396,9 +391,7 @@ class Oracle:
     def _having(self, candidate: Candidate, event: Event, time: int) -> Candidate:
         """Give the explanation in which the device has one input more."""
         pending = self._pending(candidate.state, event, time)
-        return (
-            candidate if pending is None else replace(candidate, inbox=(*candidate.inbox, pending))
-        )
+        return candidate if pending is None else candidate.expecting((*candidate.inbox, pending))
 
     def _pending(self, state: State, event: Event, time: int) -> Pending | None:
         """Give the input with its deadline; None when it changes nothing and has no deadline."""
@@ -497,7 +490,7 @@ class Oracle:
             event = self.model.mail(message, crowded=bool(candidate.outbox or waiting))
             pending = self._pending(candidate.state, event, exchange.time)
             inbox = candidate.inbox if pending is None else (*candidate.inbox, pending)
-            after[replace(candidate, inbox=inbox)] = history
+            after[candidate.expecting(inbox)] = history
         if concerned and not after:
             expected = ("the mailbox takes the request",)
             rules = _last(refused, {MAILBOX})
@@ -787,8 +780,7 @@ class Oracle:
             }
             self.unknown(keep=True)
             self.candidates = {
-                replace(candidate, inbox=tuple(inputs.values())): ()
-                for candidate in self.candidates
+                candidate.expecting(tuple(inputs.values())): () for candidate in self.candidates
             }
             return self.candidates
         self._grown = found if time >= 0 else None
@@ -839,6 +831,22 @@ def _last(candidates: Explanations, machines: AbstractSet[str]) -> tuple[RuleNam
     """Give the last rule of these machines in each history."""
     own = ([r for r in history if r.machine in machines] for history in candidates.values())
     return tuple(dict.fromkeys(history[-1] for history in own if history))
+
+
+@once
+def _reasons_of(model: Model, state: State, rules: tuple[RuleName, ...]) -> tuple[str, ...]:
+    environment = Environment(state.slots, state.known(), {})
+    return tuple(
+        reason_words(reason.wording, [value(environment) for value in reason.values])
+        for rule in rules
+        for reason in model.reasons[rule]
+        if reason.guard(environment) is True
+    )
+
+
+@once
+def _broken(model: Model, state: State) -> tuple[str, ...]:
+    return model.broken(state)
 
 
 @once

@@ -90,7 +90,7 @@ def grown(model: Model, explanations: Explanations, time: int) -> Grown | None:
         candidate, history = work.pop()
         if any(p.optional and p.deadline < time for p in candidate.inbox):
             left = tuple(p for p in candidate.inbox if not p.optional or p.deadline >= time)
-            candidate = replace(candidate, inbox=left)
+            candidate = candidate.expecting(left)
         if candidate in found:
             continue
         found[candidate] = history

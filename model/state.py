@@ -22,13 +22,16 @@ class State:
     slots: tuple[Value | None, ...]
     objects: tuple[tuple[ObjectKey, bytes], ...] = ()
     _known: Mapping[ObjectKey, bytes] | None = field(default=None, compare=False, repr=False)
+    _hash_of_objects: int | None = field(default=None, compare=False, repr=False)
     _hash: int | None = field(default=None, init=False, compare=False, repr=False)
 
     def __hash__(self) -> int:
-        """Give the hash of slots and objects, worked out once."""
+        """Give the hash of slots and objects, worked out once; there may be many objects."""
         value = self._hash
         if value is None:
-            value = hash((self.slots, self.objects))
+            if self._hash_of_objects is None:
+                object.__setattr__(self, "_hash_of_objects", hash(self.objects))
+            value = hash((self.slots, self._hash_of_objects))
             object.__setattr__(self, "_hash", value)
         return value
 
@@ -60,8 +63,11 @@ class State:
         """Give the state with another value in one slot."""
         if self.slots[slot] == value and type(self.slots[slot]) is type(value):
             return self
-        slots = (*self.slots[:slot], value, *self.slots[slot + 1 :])
-        return State(slots, self.objects, self._known)
+        return self.holding((*self.slots[:slot], value, *self.slots[slot + 1 :]))
+
+    def holding(self, slots: tuple[Value | None, ...]) -> State:
+        """Give the state with other values in all slots."""
+        return State(slots, self.objects, self._known, self._hash_of_objects)
 
 
 @dataclass(frozen=True, slots=True)

@@ -68,15 +68,11 @@ class VirtualSubDevice:
         codec = self.model.codec
         self._request_service = codec.fixed("sdo_request")["service"]
         self._response_service = codec.fixed("sdo_response")["service"]
-        state = self.model.initial
-        for entry in protocol.objects:
-            default = entry.maps or 0 if entry.default is None else entry.default
-            state = state.keeping((entry.index, entry.subindex), encode_value(entry, default))
-        self._power_on = state
+        self._power_on = power_on(self.model)
         self._register_slots = [
-            (name.removeprefix("register "), slot)
-            for name, slot in self.model.slots.items()
-            if name.startswith("register ")
+            (slot, at.address, at.address + at.size)
+            for name, at in self.model.protocol.registers.items()
+            if (slot := self.model.slots.get(f"register {name}")) is not None
         ]
         self.reset()
 
@@ -150,13 +146,14 @@ class VirtualSubDevice:
         self._show()
 
     def _registers(self) -> None:
-        registers = self.esc.registers()
-        if registers == self._taken:
+        registers, before = self.esc.registers(), self._taken
+        if registers == before:
             return
         self._taken = registers
         was_alive = self._alive()
-        for register, slot in self._register_slots:
-            self.state = self.state.having(slot, self.esc.register(register))
+        for slot, low, high in self._register_slots:
+            if (raw := registers[low:high]) != before[low:high]:
+                self.state = self.state.having(slot, int.from_bytes(raw, "little"))
         self._drop_mail(was_alive)
 
     def _drop_mail(self, was_alive: bool) -> None:  # noqa: FBT001
@@ -242,8 +239,7 @@ class VirtualSubDevice:
 
     def _settle(self, state: State) -> None:
         if Pattern in map(type, state.slots):
-            settled = tuple(None if v is None else concrete(v) for v in state.slots)
-            state = State(settled, state.objects)
+            state = state.holding(tuple(None if v is None else concrete(v) for v in state.slots))
         if state != self.state:
             self.state = state
 
@@ -304,7 +300,13 @@ class VirtualSubDevice:
 @once
 def power_on(model: Model) -> State:
     """Give the state in which a virtual SubDevice of these texts begins."""
-    return VirtualSubDevice(model.protocol).state
+    if not model.assuming:
+        return VirtualSubDevice(model.protocol).state
+    state = model.initial
+    for entry in model.protocol.objects:
+        default = entry.maps or 0 if entry.default is None else entry.default
+        state = state.keeping((entry.index, entry.subindex), encode_value(entry, default))
+    return state
 
 
 @once

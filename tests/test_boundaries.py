@@ -32,6 +32,8 @@ from ecatspec.spec.language.scope import parts_of
 if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Expression, Protocol, Range
 
+pytestmark = pytest.mark.xdist_group("boundaries")
+"""The solver finds the boundaries once, in one process."""
 DEVICE = "reference-drive"
 SMALL = ("al", "coe", "mailbox")
 OFF_BY_ONE = [

@@ -614,12 +614,12 @@ def test_options_reach_the_analysis(call: Call, monkeypatch: pytest.MonkeyPatch)
         return analysis()
 
     monkeypatch.setattr(mutate, "analyse", analyse)
-    call("mutate", DEVICE, "--own", "--depth", "quick", "--workers", "3")
-    options = {"own": True, "depth": "quick", "workers": 3, "progress": None}
+    call("mutate", DEVICE, "--own", "--only", "al.", "--depth", "quick", "--workers", "3")
+    options = {"own": True, "only": "al.", "depth": "quick", "workers": 3, "progress": None}
     assert asked == [((DEVICE,), options)]
     call("mutate", DEVICE)
-    options = {"own": False, "depth": "default", "workers": os.cpu_count(), "progress": None}
-    assert asked[1:] == [((DEVICE,), options)]
+    options = {"own": False, "only": "", "depth": "default", "workers": os.cpu_count()}
+    assert asked[1:] == [((DEVICE,), {**options, "progress": None})]
 
 
 def test_an_analysis_for_people(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:

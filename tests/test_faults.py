@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 
 import pytest
@@ -69,9 +68,10 @@ def test_the_sound_device_is_not_blamed(ground: Ground) -> None:
 
 
 @pytest.mark.xdist_group("together")
-@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is only one process")
 def test_what_belongs_together_runs_in_one_process(request: pytest.FixtureRequest) -> None:
     # or the suite of each device is made in all of them
+    if not getattr(request.config.option, "loadgroup", False):
+        pytest.skip("the tests were not called with -n and --dist loadgroup")
     assert request.node.nodeid.endswith("@together")
 
 

@@ -35,7 +35,7 @@ from ecatspec.spec.language.ir import Literal, Pin
 from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Expression, Protocol
@@ -69,13 +69,13 @@ GOLDEN = {
         "mailbox": 66,
         "examples": 0,
         "sdo": 379,
-        "transfers": 569,
-        "complete": 212,
+        "transfers": 570,
+        "complete": 214,
         "server": 288,
         "information": 123,
         "families": 485,
-        "quick": 2444,
-        "default": 2549,
+        "quick": 2447,
+        "default": 2552,
     },
     "standard": {
         "registers": 28,
@@ -105,13 +105,13 @@ GOLDEN = {
         "mailbox": 66,
         "examples": 0,
         "sdo": 670,
-        "transfers": 812,
-        "complete": 236,
+        "transfers": 813,
+        "complete": 238,
         "server": 294,
         "information": 130,
         "families": 485,
-        "quick": 3058,
-        "default": 3551,
+        "quick": 3061,
+        "default": 3554,
     },
     "kollmorgen-s300": {
         "registers": 29,
@@ -169,7 +169,18 @@ OTHER_WAY = {
 }
 """Rules of alternatives and conditions that the device does not take, or that change nothing."""
 
-each_device = pytest.mark.parametrize("device", sorted(OTHER_WAY))
+
+def of_one(device: str) -> pytest.MarkDecorator:
+    """Keep what looks at the cases of a device in one process: they are made once there."""
+    return pytest.mark.xdist_group(f"cases of {device}")
+
+
+def each_of(devices: Iterable[str]) -> pytest.MarkDecorator:
+    params = [pytest.param(device, marks=of_one(device)) for device in sorted(devices)]
+    return pytest.mark.parametrize("device", params)
+
+
+each_device = each_of(OTHER_WAY)
 
 
 @cache
@@ -182,7 +193,7 @@ def cases_of(device: str, depth: str = "default", mailbox: str = "") -> tuple[Ca
     return tuple(all_cases(model_of(device, mailbox), NO_LIMITS, depth))
 
 
-@pytest.mark.parametrize("device", sorted(GOLDEN))
+@each_of(GOLDEN)
 def test_the_number_of_cases(device: str) -> None:
     model = model_of(device)
     counts = {name: len(list(make(model, NO_LIMITS))) for name, make in GENERATORS.items()}
@@ -203,7 +214,7 @@ def test_names_are_unique_and_start_with_the_layer(device: str, mailbox: str) ->
         assert case.flag in {"", *NOTES}
 
 
-@pytest.mark.parametrize("device", ["reference", "reference-drive"])
+@each_of(["reference", "reference-drive"])
 def test_two_generations_are_equal(device: str) -> None:
     for depth in ("quick", "default"):  # those of `exhaustive` have tests of their own
         assert tuple(all_cases(model_of(device), NO_LIMITS, depth)) == cases_of(device, depth)
@@ -211,7 +222,10 @@ def test_two_generations_are_equal(device: str) -> None:
 
 @pytest.mark.parametrize(
     ("device", "mailbox"),
-    [*((device, "") for device in sorted(OTHER_WAY)), *(("reference", size) for size in SIZES)],
+    [
+        *(pytest.param(device, "", marks=of_one(device)) for device in sorted(OTHER_WAY)),
+        *(pytest.param("reference", size, marks=of_one("reference")) for size in SIZES),
+    ],
 )
 def test_a_quick_run_is_part_of_a_whole_one(device: str, mailbox: str) -> None:
     whole = {case.name: case for case in cases_of(device, mailbox=mailbox)}
@@ -278,6 +292,7 @@ LEAST = 10
 TOGETHER: tuple[dict[str, str | bool], ...] = (
     {"size_judged_late": True, "size_judged_now": False},
     {"partial_refused": True, "odd_aborted": True, "unclear_answered": True},
+    {"short_abort_unheard": False, "odd_aborted": True},
 )
 """Points that matter only together."""
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import dpkt
 import pytest
 
-from ecatspec.conformance.capture import CaptureError
+from ecatspec.conformance.capture.transactions import CaptureError
 from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.verdict import BLAMING, Outcome
 

@@ -389,12 +389,12 @@ def test_mistakes_in_the_same_words_say_which_one_they_are() -> None:
 
 
 NUMBERS = {
-    Operator.NEGATED: 215,
+    Operator.NEGATED: 216,
     Operator.UNCHECKED: 431,
     Operator.NARROWED: 33,
     Operator.OFF_BY_ONE: 164,
     Operator.WRONG_VALUE: 348,
-    Operator.WRONG_TARGET: 262,
+    Operator.WRONG_TARGET: 264,
     Operator.UPDATE_DROPPED: 139,
     Operator.OUTPUT_DROPPED: 124,
 }
@@ -428,9 +428,9 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Analysis]:
     ground = few_cases()
     monkeypatch.setattr(mutate, "_Ground", lambda *_: ground)
 
-    def analysed(*sample: Mutant, own: bool = False) -> Analysis:
+    def analysed(*sample: Mutant, own: bool = False, only: str = "") -> Analysis:
         monkeypatch.setattr(mutate, "mutants", lambda _: iter(sample))
-        return analyse(SMALL, own=own, depth="quick")
+        return analyse(SMALL, own=own, only=only, depth="quick")
 
     return analysed
 
@@ -500,10 +500,10 @@ def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-2:]]
 
 
-def test_a_mutant_that_does_not_come_up_is_killed(small: Callable[..., Analysis]) -> None:
+def test_a_mutant_with_a_rule_that_means_nothing_is_killed(small: Callable[..., Analysis]) -> None:
     place = "sdo_information.object_undeclared_described"
     (found,) = small(named(place, SILENT, "send information_object")).fated
-    assert (found.fate, found.case) == (Fate.KILLED, "power-on")
+    assert (found.fate, found.case) == (Fate.KILLED, "sdo_information/no_object/0000")
 
 
 def hang() -> None:
@@ -513,6 +513,24 @@ def hang() -> None:
 
 def fail() -> None:
     raise ZeroDivisionError
+
+
+@pytest.mark.parametrize("end", [hang, fail])
+def test_a_mutant_that_does_not_come_up_is_killed(
+    small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch, end: Callable[[], None]
+) -> None:
+    wrong = named(*TOLERATED)
+    reset = VirtualSubDevice.reset
+
+    def ending(device: VirtualSubDevice) -> None:
+        reset(device)
+        if device.model.protocol is wrong.protocol:
+            end()
+
+    monkeypatch.setattr(VirtualSubDevice, "reset", ending)
+    monkeypatch.setattr(mutate, "_PATIENCE", 1.0)
+    (found,) = small(wrong).fated
+    assert (found.fate, found.case) == (Fate.KILLED, "power-on")
 
 
 @pytest.mark.parametrize("end", [hang, fail])
@@ -541,8 +559,6 @@ def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
     cases = list(few(Model(device), NO_LIMITS, "quick"))
     found = small(*(named(*mistake) for mistake in [*FATES][1:-1]), *mutants_of(SMALL)[10::900])
     for each in found.fated:
-        if each.case == "power-on":
-            continue
         adapter = adapter_of(each.mutant.protocol)
         runner = Runner(Model(device), adapter, adapter.describe())
         blamed = next((c.name for c in cases if runner.judge(c).outcome in BLAMING), "")
@@ -571,6 +587,17 @@ IN_VAIN: Final[Mapping[str, Mistake]] = {
         "WAITING",
         "stays",
     ),
+    "nobody can tell in which state it rests": (
+        "sdo_information.answer_complete",
+        Operator.WRONG_TARGET,
+        "WAITING",
+        "LISTING",
+    ),
+    "what only changes that state need not come": (
+        "mailbox.started",
+        SILENT,
+        "give sdo_information.start",
+    ),
     "the device has no state BOOT": ("al.boot_kept", Operator.WRONG_TARGET, "stays", "SAFEOP"),
     "the object 0x1000 is declared": (
         "sdo_information.object_missing",
@@ -594,6 +621,8 @@ REAL: Final[tuple[Mistake, ...]] = (
     ("ds402.fault_reset_15", EARLY, "reset and not cause", "reset"),
     ("mailbox.mail_too_short", DROPPED, "last = counter"),
     ("sdo_information.list_begun", Operator.WRONG_TARGET, "LISTING", "stays"),
+    ("sdo_information.object_described", Operator.WRONG_TARGET, "WAITING", "LISTING"),
+    ("mailbox.started", SILENT, "give sdo.start"),
     ("sdo.download_begun", DROPPED, "expected_toggle = false"),
     ("sdo.upload_expedited", SILENT, "send sdo_upload_expedited"),
 )
@@ -697,6 +726,16 @@ def test_own_are_the_rules_of_the_device(small: Callable[..., Analysis]) -> None
 
 def test_without_mutants_nothing_is_missed(small: Callable[..., Analysis]) -> None:
     assert small().score() == 1.0
+
+
+def test_only_mistakes_with_certain_words(
+    small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = [named(*mistake) for mistake in list(FATES)[:2]]
+    assert [each.mutant for each in small(one, other, only=one.place).fated] == [one]
+    monkeypatch.setattr(mutate, "_Ground", None)  # told before anything is run
+    with pytest.raises(UserError, match=r"no mutant of reference has 'nonsense' in its descr"):
+        analyse(SMALL, only="nonsense")
 
 
 def test_a_device_that_is_blamed_as_it_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -648,6 +648,27 @@ def test_the_first_ways_and_the_assumed_truths_are_not_blamed() -> None:
     assert blamed(VirtualSubDevice(REFERENCE), JUDGE, *STIMULI) == ""
 
 
+@pytest.mark.parametrize("target", ["IDLE", None])
+@pytest.mark.parametrize("way", ["short_abort_silent", "short_abort_erred"])
+def test_an_abort_that_is_too_short_may_end_the_transfer_or_not(
+    target: str | None, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sdo = REFERENCE.machines["sdo"]
+    rules = tuple(replace(r, target=target) if r.name == way else r for r in sdo.rules)
+    unheard = replace(
+        REFERENCE.conditions["short_abort_unheard"], assumed=way == "short_abort_silent"
+    )
+    device = replace(
+        REFERENCE,
+        machines=REFERENCE.machines | {"sdo": replace(sdo, rules=rules)},
+        conditions=REFERENCE.conditions | {unheard.name: unheard},
+    )
+    short = odd(END, length=JUDGE.codec.size("coe") + 1)
+    stimuli = (BLOCK, segment(0, b"b" * 88), short, segment(1, b"c" * 80), BYTE, short, BYTE)
+    monkeypatch.setitem(STIMULI, "cut", stimuli)
+    assert blamed(VirtualSubDevice(device), JUDGE, "cut") == ""
+
+
 def test_a_device_without_a_mailbox_is_not_blamed() -> None:
     pins = REFERENCE.pins | {"mailbox_support": Pin("mailbox_support", "absent", ())}
     assert blamed(VirtualSubDevice(replace(REFERENCE, pins=pins)), JUDGE, *STIMULI) == ""

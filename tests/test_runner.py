@@ -19,9 +19,11 @@ from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance.session import Deviation
+from ecatspec.conformance.verdict import Outcome, Verdict
 from ecatspec.generators.bringup import request, way_to
-from ecatspec.generators.case import Case, Happen, Probe, WriteOutputs
+from ecatspec.generators.case import NO_LIMITS, Case, Happen, Probe, WriteOutputs
+from ecatspec.generators.suite import all_cases
 from ecatspec.generators.token import case_of, token_of
 from ecatspec.generators.transfers import upload
 from ecatspec.model.compiled import Model
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from ecatspec.conformance.adapter import Adapter
-    from ecatspec.conformance.verdict import Result, Verdict
+    from ecatspec.conformance.verdict import Result
     from ecatspec.generators.case import Limits
 
 DEVICE = "kollmorgen-akd"
@@ -374,6 +376,48 @@ def test_what_a_suite_believes_of_a_device_blames_nobody(
     assert RuleName("al", "safeop_to_op_refused") not in runner.rules
     assert RuleName("al", "preop_to_safeop") in runner.rules
     assert (RuleName("al", "safeop_to_op") in runner.rules) == (way == "accepted")
+
+
+def test_what_is_not_conclusive_under_belief_is_judged_without_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    runner = Runner(MODEL, make(DEVICE, {}), make(DEVICE, {}).describe())
+    runner.untold.add("op_without_outputs")
+    suite = Promised((case("one"),), assumed={"op_without_outputs": "refused"})
+    monkeypatch.setattr(runner_module, "complete_suites", lambda *_: [suite])
+
+    def judged(one: Case) -> Verdict:
+        outcome = Outcome.INCONCLUSIVE if runner.believed else Outcome.PASS
+        return Verdict(one.name, outcome, one.title)
+
+    monkeypatch.setattr(runner, "_judge", judged)
+    (told,) = runner.complete("default", None)
+    assert [verdict.outcome for verdict in runner.verdicts] == [Outcome.PASS]
+    assert told.endswith("goes another way at op_without_outputs")
+
+
+def test_in_virtual_time_looks_are_where_something_must_have_happened() -> None:
+    adapter = make("reference-drive", {"fault": "fault_unnoticed"})
+    runner = Runner(Model(load_device("reference-drive")), adapter, adapter.describe())
+    op = runner.model.row("al_state", "OP")
+    (case,) = (
+        case for case in all_cases(runner.model, NO_LIMITS, "quick") if case.name == "ds402/fault"
+    )
+    *before, fault = case.stimuli
+    runner.session.begin(runner_module.SHAPE, runner.configuration())
+    for stimulus in before:
+        runner.session.apply(stimulus)
+    began, exchanges = runner.session.time, runner.session.exchanges
+    runner.session.apply(request(op))  # nothing shows that it was taken
+    assert runner.session.time - began == 200_001
+    # the request; three looks of three reads, at once, soon and at the deadline; outputs between
+    assert runner.session.exchanges - exchanges == 1 + 3 * 3 + 2
+    began = runner.session.time
+    with pytest.raises(Deviation) as found:
+        runner.session.apply(fault)
+    # long before the reaction to the fault must have ended
+    assert runner.session.time - began < 10_000_000
+    assert "DRV-16" in found.value.mismatch.clauses
 
 
 def test_a_choice_that_nothing_tells_is_kept_in_mind() -> None:

@@ -392,7 +392,7 @@ def test_the_solver_counts_the_control_words_of_each_rule_as_brute_force_does() 
     for state in states:
         environment = Environment(state.slots, {}, {"reset": True})
         current = state.slots[model.slots["ds402.state"]]
-        for compiled in model.rules["ds402", "command"]:
+        for compiled in model.rules("ds402", "command"):
             item = next(r for r in rows_of(machine) if r.name == compiled.name.name)
             if current not in compiled.sources:
                 continue

@@ -19,7 +19,7 @@ from ecatspec.model.compiled import rows_of
 from ecatspec.model.facts import Section
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.mealy import alike
-from ecatspec.model.state import RuleName
+from ecatspec.model.once import once
 from ecatspec.model.values import Pattern, admits
 from ecatspec.spec.language.ir import Name
 from ecatspec.spec.language.scope import nodes_in
@@ -29,9 +29,10 @@ if TYPE_CHECKING:
 
     from ecatspec.conformance.diff.machines import Explored, Watched
     from ecatspec.generators.case import Stimulus
+    from ecatspec.model.compiled import Model
     from ecatspec.model.mealy import Word
+    from ecatspec.model.state import RuleName
     from ecatspec.model.values import Value
-    from ecatspec.spec.language.ir import Gap, Protocol, Rule
 
 SECTIONS = {AL: Section.AL, DRIVE: Section.DRIVE, BOTH: Section.DRIVE, SDO: Section.MAILBOX}
 _REQUESTS = ("request_", "acknowledge_")
@@ -188,11 +189,10 @@ class Sides:
         self.devices = devices
         self.models = (devices[0].model, devices[1].model)
         self.choices = choices
-        self._texts = tuple(_texts(model.protocol) for model in self.models)
 
     def differs(self, rule: RuleName) -> bool:
         """Tell whether a rule, or what it speaks of, is another in the two texts."""
-        one, other = (texts.get(rule) for texts in self._texts)
+        one, other = (_text(model, rule) for model in self.models)
         return one != other
 
     def behaviours(
@@ -274,7 +274,7 @@ class Sides:
         protocol = self.models[side].protocol
         settled = {*protocol.pins, *self.choices[side]}
         for rule in rules:
-            text = self._texts[side].get(rule)
+            text = _text(self.models[side], rule)
             for name in () if text is None else sorted(text.names):
                 if name in protocol.conditions:
                     yield f"condition {name}"
@@ -291,15 +291,15 @@ class _Text:
     names: frozenset[str] = field(compare=False)
 
 
-def _texts(protocol: Protocol) -> dict[RuleName, _Text]:
-    return {
-        RuleName(machine.name, rule.name): _text(protocol, rule)
-        for machine in protocol.machines.values()
-        for rule in rows_of(machine)
-    }
-
-
-def _text(protocol: Protocol, rule: Rule | Gap) -> _Text:
+@once
+def _text(model: Model, name: RuleName) -> _Text | None:
+    """Give what a rule says; None: there is no such rule."""
+    protocol = model.protocol
+    machine = protocol.machines.get(name.machine)
+    rows = () if machine is None else rows_of(machine)
+    rule = next((row for row in rows if row.name == name.name), None)
+    if rule is None:
+        return None
     used = sorted(definitions_in(protocol, rule))
     values = tuple(protocol.definitions[name].value for name in used)
     names = (name for node in (rule, *values) for name in _named(node))

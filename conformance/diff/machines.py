@@ -7,7 +7,6 @@ stands which rules led there, so that a difference can cite them.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
@@ -30,7 +29,6 @@ from ecatspec.generators.complete.machines import (
     sdo_setup,
 )
 from ecatspec.generators.drive_cover import STATUS
-from ecatspec.generators.play import play
 from ecatspec.model.buffers import ThreeBuffers
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
@@ -169,23 +167,23 @@ class Watched(VirtualSubDevice):
 
 def _copied(thing: _T) -> _T:
     """Copy an object and the collections that it holds, and what these hold and change."""
-    found = copy.copy(thing)
+    found = object.__new__(type(thing))
     own = vars(found)
-    for name, value in own.items():
-        match value:
-            case list():
-                own[name] = [v.copy() if isinstance(v, bytearray) else v for v in value]
-            case dict():
-                alive = {k: _copied(v) for k, v in value.items() if isinstance(v, ThreeBuffers)}
-                own[name] = value | alive
-            case bytearray():
-                own[name] = value.copy()
-            case _:
-                pass
+    for name, value in vars(thing).items():
+        kind = type(value)
+        if kind is dict:
+            alive = {k: _copied(v) for k, v in value.items() if isinstance(v, ThreeBuffers)}
+            own[name] = value | alive
+        elif kind is list:
+            own[name] = [v.copy() if isinstance(v, bytearray) else v for v in value]
+        elif kind is bytearray:
+            own[name] = value.copy()
+        else:
+            own[name] = value
     return found
 
 
-_Place: TypeAlias = "tuple[Watched, dict[str, int] | None, int]"
+_Place: TypeAlias = "tuple[Watched, Mapping[str, int] | None, int]"
 """A device that stands still, the words that are written cyclically, the mailbox counter."""
 
 
@@ -210,15 +208,6 @@ class _Walked(Driven):
         found = Seen(tuple(self._parts(self.device.allowed(), outputs)), rules, self.device.decided)
         name = f"{found.words()} [{', '.join(map(str, rules))}]{' *' * found.decided}"
         return self._named(name, found)
-
-    def _play(self, stimuli: tuple[Stimulus, ...]) -> None:
-        """Play stimuli; outputs that are written anew need not be written on before."""
-        match stimuli:
-            case (WriteOutputs(words=words),):
-                self.words = {**(self.words or {}), **words}
-                play(self.model, self.device, (WriteOutputs(self.words),))
-            case _:
-                super()._play(stimuli)
 
     def keep(self) -> _Place:
         """Give where the device is now, to go on from there later."""

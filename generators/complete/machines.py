@@ -115,7 +115,7 @@ class Driven:
         self.looks = looks
         self.slots = {name: self.device.model.slots[name] for name in slots}
         self.choices = dict(choices or {})
-        self.words: dict[str, int] | None = None
+        self.words: Mapping[str, int] | None = None
         self.replies: tuple[str, ...] = ()
         self._counter = 0
 
@@ -128,7 +128,7 @@ class Driven:
         self.words = None
         self.replies = ()
         self._counter = 0
-        self._play(self.prelude)
+        self.words = play(self.model, self.device, self.prelude)
 
     def give(self, symbol: str) -> str:
         """Give an input, and give what is seen then."""
@@ -137,7 +137,7 @@ class Driven:
             if isinstance(stimulus, SendFrame):
                 found += self._exchange(stimulus)
             else:
-                self._play((stimulus,))
+                self.words = play(self.model, self.device, (stimulus,), self.words)
         self.replies = tuple(found)
         return self._seen()
 
@@ -170,15 +170,6 @@ class Driven:
 
     def _seen(self) -> str:
         return ", ".join(look(self) for look in self.looks)
-
-    def _play(self, stimuli: tuple[Stimulus, ...]) -> None:
-        going_on = () if self.words is None else (WriteOutputs(self.words),)
-        for stimulus in stimuli:
-            if isinstance(stimulus, WriteOutputs):
-                self.words = {**(self.words or {}), **stimulus.words}
-            elif isinstance(stimulus, StopOutputs):
-                self.words = None
-        play(self.model, self.device, (*going_on, *stimuli))
 
     def _exchange(self, stimulus: SendFrame) -> list[str]:
         """Send a message and read all that comes."""

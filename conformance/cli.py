@@ -6,7 +6,6 @@ Status 0: conforms. 1: does not. 2: the input or the set-up is wrong, nothing wa
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import math
 import os
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import rich_click as click
 
+from ecatspec.conformance.version import version
 from ecatspec.generators.case import DEPTHS
 from ecatspec.spec.language.diagnostics import SpecError
 
@@ -66,16 +66,9 @@ def _example(command: str) -> str:
     return f"Example: {EXAMPLES[command]}"
 
 
-def _version() -> str:
-    try:
-        return importlib.metadata.version("ecatspec")
-    except importlib.metadata.PackageNotFoundError:
-        return "(not installed)"
-
-
 def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:  # noqa: FBT001
     if wanted and not context.resilient_parsing:
-        _print(f"ecatspec {_version()}\n")
+        _print(f"ecatspec {version()}\n")
         context.exit()
 
 

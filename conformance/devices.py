@@ -18,6 +18,7 @@ from ecatspec.spec.language.ir import (
     Literal,
     Name,
     OneOf,
+    Pin,
     Remove,
     Replace,
     ReplaceField,
@@ -28,7 +29,7 @@ from ecatspec.spec.language.load import UnknownDevice, load_device, load_faults,
 from ecatspec.spec.language.pretty import pretty_expression, pretty_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from ecatspec.model.process_image import ProcessImage
     from ecatspec.spec.language.ir import (
@@ -110,6 +111,21 @@ def _load(name_or_path: str) -> Protocol:
     except RecursionError:
         message = f"{name_or_path}: an expression is nested too deeply; split it by definitions"
     raise UserError(message)
+
+
+def pinned(protocol: Protocol, ways: Mapping[str, str]) -> Protocol:
+    """Give the device that goes these ways at choices, where its text leaves them open."""
+    pins = {name: Pin(name, way, ()) for name, way in ways.items()}
+    return replace(protocol, pins=pins | protocol.pins)
+
+
+def going(protocol: Protocol, ways: Mapping[str, str]) -> Protocol:
+    """Give the device that goes one way at every choice: as its text or `ways` say, or the first.
+
+    That is how the virtual SubDevice goes, so that its session need not follow any other.
+    """
+    firsts = {name: choice.alternatives[0].name for name, choice in protocol.choices.items()}
+    return pinned(protocol, firsts | dict(ways))
 
 
 def nearest(what: str, name: str, known: Sequence[str]) -> UserError:

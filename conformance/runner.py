@@ -53,7 +53,7 @@ EXAMPLES = {"quick": 30, "default": 150, "exhaustive": 1000}
 """Runs of random requests, by depth."""
 WALKS = {"quick": 0, "default": 10, "exhaustive": 200}
 """Random walks, by depth."""
-_WALK = 60
+WALK = 60
 """Stimuli of a walk."""
 _SHORTENING = {True: 300, False: 40}
 """So often a case that fails is tried again to make it shorter, in virtual and in real time."""
@@ -267,7 +267,7 @@ class Runner:
 
     def walk(self, seed: int) -> Case:
         """Give a random walk for this device."""
-        return walk(self.model, limits_of(self.description), self.description.locals, seed, _WALK)
+        return walk(self.model, limits_of(self.description), self.description.locals, seed, WALK)
 
     def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
         """Vary requests at random; every new cause is shrunk to its shortest run by replay."""

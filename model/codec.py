@@ -83,6 +83,11 @@ class Codec:
         """Tell whether the encoder computes the field: a length of what follows."""
         return any(part.counts == field for name in self.trail(frame) for part in self._parts[name])
 
+    def is_bytes(self, frame: str, field: str) -> bool:
+        """Tell whether the field is a string of bytes."""
+        parts = (part for name in self.trail(frame) for part in self._parts[name])
+        return any(part.name == field and part.width is None for part in parts)
+
     def fixed(self, frame: str) -> Mapping[str, Value]:
         """Give the fields that have constants: own ones and those that place the frame."""
         return self._fixed[frame]

@@ -69,6 +69,8 @@ if TYPE_CHECKING:
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
 MANAGERS = (*SYNC_MANAGERS, *PROCESS_DATA)
+_ROUNDS = 16
+"""So many things in a row are awaited at most, each of which begins with the one before."""
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
 
@@ -143,7 +145,7 @@ class Oracle:
 
         With `unread` replies may lie in the mailbox, and requests behind them.
         """
-        for candidate in self._expanded(time):
+        for candidate in self.expanded(time):
             if candidate.outbox and not unread:
                 return False
             due = self._due(candidate, time)
@@ -156,6 +158,18 @@ class Oracle:
         deadlines = [p.deadline for c in self.candidates for p in self._due(c, time)]
         deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
         return min((deadline for deadline in deadlines if deadline >= time), default=None)
+
+    def busy_until(self, time: int) -> int:
+        """Give the time by which all is done that a device may be busy with; `time`: nothing is."""
+        for _ in range(_ROUNDS):
+            found = self.expanded(time)
+            deadlines = [p.deadline for candidate in found for p in self._due(candidate, time)]
+            deadlines += [candidate.ready for candidate in found if candidate.outbox]
+            last = max(deadlines, default=-1)
+            if last < time:
+                break
+            time = last + 1
+        return time
 
     def open_until(self, time: int) -> int:
         """Give the time by which the AL has done what the texts leave open; `time`: nothing is."""
@@ -207,7 +221,7 @@ class Oracle:
         """Take it that somebody made this local event befall the device."""
         self.candidates = {
             self._having(candidate, Event(machine, event, {}), time): history
-            for candidate, history in self._expanded(time).items()
+            for candidate, history in self.expanded(time).items()
         }
 
     def reasons(self) -> tuple[str, ...]:
@@ -252,7 +266,7 @@ class Oracle:
         if area is None or not address < area[0] + area[1] <= address + length:
             return
         after = dict(self.candidates)
-        for candidate, history in self._expanded(-1).items():
+        for candidate, history in self.expanded(-1).items():
             after.setdefault(candidate, history)
             if candidate.outbox:
                 # the reply is gone, and with it what its fields would have told
@@ -268,7 +282,7 @@ class Oracle:
             self.unknown()
             return
         outputs = self._outputs_of(exchange.data)
-        unfed = list(self._expanded(exchange.time).items())
+        unfed = list(self.expanded(exchange.time).items())
         with_them = [(fed(self.model, c, outputs, exchange.time), h) for c, h in unfed]
         self.candidates = widened((*self.candidates.items(), *unfed, *with_them))
 
@@ -351,7 +365,7 @@ class Oracle:
         ]
         glances = _glances(self.model, *exchange.span())
         after: Explanations = {}
-        for candidate, history in self._expanded(exchange.time).items():
+        for candidate, history in self.expanded(exchange.time).items():
             state = candidate.state
             parameters: dict[str, Value] = {}
             for register in touched:
@@ -427,7 +441,7 @@ class Oracle:
         after: list[tuple[Candidate, tuple[RuleName, ...]]] = []
         refused: Explanations = {}
         outputs = self._outputs_of(exchange.data)
-        for candidate, history in self._expanded(exchange.time).items():
+        for candidate, history in self.expanded(exchange.time).items():
             if process_area(self.model, candidate.state, DATA_OUT) != exchange.span():
                 after.append((candidate, history))
             elif exchange.working_counter:
@@ -470,7 +484,7 @@ class Oracle:
         concerned = False
         patience = self.model.parameter("request_timeout")
         recent = exchange.time - self.written <= patience
-        for candidate, history in self._expanded(exchange.time).items():
+        for candidate, history in self.expanded(exchange.time).items():
             area = mailbox_area(self.model, candidate.state, MAIN_OUT)
             if area is None or not _covers_end(area, exchange):
                 after[candidate] = history
@@ -506,13 +520,13 @@ class Oracle:
     # --- reads ------------------------------------------------------------------------------------
 
     def _read(self, exchange: Exchange) -> Mismatch | None:
-        mismatch = self._judge(exchange)
+        mismatch = self.judge(exchange)
         if mismatch is None:
             return None
         kept = self.candidates
         for _ in range(_SURPRISES):
-            self.candidates = self._befallen(exchange.time)
-            if self._judge(exchange) is None:
+            self.candidates = self.befallen(exchange.time)
+            if self.judge(exchange) is None:
                 if self.surprises():
                     self._suspicion = self._suspicion or mismatch
                 return None
@@ -520,9 +534,9 @@ class Oracle:
         # what was taken for an accident at first was the deviation
         return self._suspicion if self._suspicion and self.surprises() else mismatch
 
-    def _befallen(self, time: int) -> Explanations:
+    def befallen(self, time: int) -> Explanations:
         """Give the explanations in which something happened by itself, and those before."""
-        found = dict(self._expanded(time))
+        found = dict(self.expanded(time))
         for candidate, history in list(found.items()):
             for event in (*self.model.own, *self.model.locals):
                 name = f"{event.machine}.{event.input}"
@@ -537,7 +551,8 @@ class Oracle:
                         found.setdefault(left, history + rules)
         return found
 
-    def _judge(self, exchange: Exchange) -> Mismatch | None:
+    def judge(self, exchange: Exchange) -> Mismatch | None:
+        """Judge a read by what was asked of the device; nothing befell it, nor did it by itself."""
         mismatch = self._read_inputs(exchange)
         if mismatch is not None:
             return mismatch
@@ -558,7 +573,7 @@ class Oracle:
         views = self.model.views[register.name]
         if not views:
             return None
-        before = self._expanded(exchange.time)
+        before = self.expanded(exchange.time)
         after: Explanations = {}
         for candidate, history in before.items():
             for state in seen(self.model, register.name, candidate.state, raw):
@@ -590,7 +605,7 @@ class Oracle:
         after: Explanations = {}
         wrong: Explanations = {}
         words: dict[str, Word] = {}
-        before = self._expanded(exchange.time)
+        before = self.expanded(exchange.time)
         for candidate, history in before.items():
             if process_area(self.model, candidate.state, DATA_IN) != exchange.span():
                 after[candidate] = history
@@ -633,7 +648,7 @@ class Oracle:
 
     def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
-        before = self._expanded(exchange.time)
+        before = self.expanded(exchange.time)
         after = {
             self._owing(candidate, exchange.time, full=full): history
             for candidate, history in before.items()
@@ -678,7 +693,7 @@ class Oracle:
         data = exchange.data[max(0, area[0] - exchange.address) :]
         data = data[: area[1]]
         message = self.model.decode(data)
-        before = self._expanded(exchange.time)
+        before = self.expanded(exchange.time)
         after: Explanations = {}
         for candidate, history in before.items():
             if message is not None and self._absent(candidate.state):
@@ -766,8 +781,8 @@ class Oracle:
 
     # --- helpers ----------------------------------------------------------------------------------
 
-    def _expanded(self, time: int) -> Explanations:
-        """Give all candidates, with inputs served or, until their deadline, not yet."""
+    def expanded(self, time: int) -> Explanations:
+        """Give all explanations, with inputs served or, until their deadline, not yet."""
         if self._grown is not None and self._grown.of(self.candidates, time):
             return self._grown.found
         found = grown(self.model, self.candidates, time)

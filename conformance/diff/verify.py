@@ -7,10 +7,10 @@ they were found in: what a MainDevice reads then must be what the comparison say
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.devices import going
 from ecatspec.conformance.diff.machines import SDO
 from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.session import Deviation, Session
@@ -23,7 +23,6 @@ from ecatspec.model.process_image import INPUTS, taken
 from ecatspec.model.shown import layout
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, admits, bits_of
-from ecatspec.spec.language.ir import Pin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from ecatspec.conformance.diff.machines import Part
     from ecatspec.generators.case import Case
     from ecatspec.model.values import Value
-    from ecatspec.spec.language.ir import Protocol
 
 _STATUS_BIT = "status bit "
 _ANSWER = "answer "
@@ -61,23 +59,12 @@ def verify(found: Comparison) -> tuple[str, ...]:
     """Replay all witnesses on both virtual SubDevices; give a line for each that fails."""
     failures = []
     for side in (0, 1):
-        bench = _Bench(pinned(found.protocols[side], found.choices[side]))
+        bench = _Bench(going(found.protocols[side], found.choices[side]))
         for behaviour in found.behaviours:
             parts = behaviour.seen[side].parts
             wrong = bench.replay(behaviour.machine, behaviour.cases[side], parts)
             failures += [f"{found.names[side]}: {behaviour.subject}: {each}" for each in wrong]
     return tuple(failures)
-
-
-def pinned(protocol: Protocol, choices: Mapping[str, str]) -> Protocol:
-    """Give the device that goes one way at open choices: as told, or the first.
-
-    That is how the virtual SubDevice goes, so that its session need not follow any other.
-    """
-    firsts = {name: choice.alternatives[0].name for name, choice in protocol.choices.items()}
-    ways = firsts | dict(choices)
-    pins = {name: Pin(name, way, ()) for name, way in ways.items()}
-    return replace(protocol, pins=pins | protocol.pins)
 
 
 class _Bench:

@@ -1,0 +1,1 @@
+"""Test vectors: recorded from the virtual SubDevice, replayed on any device, checked as files."""

@@ -1,0 +1,346 @@
+"""The only place where the suite of a device becomes a stream of test vectors and their head."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import msgspec
+
+from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.devices import UserError, going, load, nearest, pinned
+from ecatspec.conformance.runner import SHAPE, WALK, WALKS
+from ecatspec.conformance.session import Deviation
+from ecatspec.conformance.vectors.record import COUNTER, Recorder, RestlessError
+from ecatspec.conformance.version import version
+from ecatspec.generators.bringup import has_process_data, way_to
+from ecatspec.generators.case import (
+    NO_LIMITS,
+    Case,
+    Happen,
+    ReadConfiguration,
+    SetUpProcessData,
+    WriteOutputs,
+)
+from ecatspec.generators.families import NOTES
+from ecatspec.generators.finite_cover import complete_suites
+from ecatspec.generators.formats import FORMATS
+from ecatspec.generators.suite import all_cases
+from ecatspec.generators.vectors import (
+    SCHEMA,
+    SCHEMA_VERSION,
+    Allowed,
+    Area,
+    Clause,
+    Config,
+    Generator,
+    Guarantee,
+    Head,
+    Note,
+    Spec,
+    Test,
+)
+from ecatspec.generators.walks import walk
+from ecatspec.model.compiled import MAILBOX, Model, rows_of
+from ecatspec.model.esc import AREAS, SYNC_MANAGERS, field_mask
+from ecatspec.model.forms import message_forms
+from ecatspec.model.interpreter import step
+from ecatspec.model.oracle import Oracle
+from ecatspec.model.subdevice import VirtualSubDevice
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from typing import IO
+
+    from ecatspec.conformance.runner import Progress
+    from ecatspec.generators.finite_cover import Complete
+    from ecatspec.model.values import ObjectKey
+    from ecatspec.spec.language.ir import Protocol
+
+CONFIGURATION: Final = "configuration"
+"""The layer and the name of the test that shows what others take for granted."""
+_LENGTH: Final = "length"
+_BYTE: Final = 8
+OTHER_WAYS: Final = "other_ways"
+_OTHER_WAYS: Final = (
+    "Somewhere the texts allow more than one way, and the test goes on with one of them only; a"
+    " device that goes another is not tried further."
+)
+_HEADER: Final = (
+    "Each test begins with a power cycle. A step: do `in`, let `us` of the device's time pass "
+    "(writing `cycle` while it does), then look for all that `expect` says, in order.",
+    "Bytes are right when they equal a `value` wherever its `mask` has a bit. `passes`: go on. "
+    "`ends`: the device went another way that is allowed; the test ends, and counts as passed.",
+    "Nothing befalls the device that no step raises: where power or synchronisation may fail on "
+    "the bench, a failure has to be looked at with that in mind.",
+    "docs/vectors.md of ecatspec says it all, glossary first.",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a user asks for."""
+
+    device: str
+    depth: str = "default"
+    only: tuple[str, ...] = ()
+    mailbox: str = ""
+    seed: int = 0
+    choices: Mapping[str, str] = field(default_factory=dict, hash=False)
+
+
+@dataclass(slots=True)
+class Export:
+    """The suite of one device; tests are made when asked for."""
+
+    wanted: Wanted
+    progress: Progress | None = None
+    guarantees: list[Guarantee] = field(default_factory=list)
+    number: int = 0
+    flags: set[str] = field(default_factory=set)
+    restless: list[str] = field(default_factory=list)
+    """Cases without a test: the virtual SubDevice does not come to rest in them."""
+    protocol: Protocol = field(init=False)
+    _model: Model = field(init=False)
+    _recorder: Recorder = field(init=False)
+    _ways: dict[str, str] = field(default_factory=dict)
+    _locals: frozenset[str] = frozenset()
+    _objects: dict[ObjectKey, bytes] = field(default_factory=dict)
+    _cited: dict[str, list[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Read the texts."""
+        protocol = load(self.wanted.device, self.wanted.mailbox)
+        for name, way in self.wanted.choices.items():
+            if name not in protocol.choices:
+                raise nearest("choice", name, tuple(protocol.choices))
+            ways = tuple(each.name for each in protocol.choices[name].alternatives)
+            if way not in ways:
+                raise nearest(f"way at {name}", way, ways)
+            if name in protocol.pins and protocol.pins[name].alternative != way:
+                text = protocol.pins[name].alternative
+                raise UserError(f"the text pins {name} = {text}; leave out --choice {name}={way}")
+        layers = {*protocol.machines, CONFIGURATION}
+        for name in self.wanted.only:
+            if name not in layers:
+                raise nearest("layer", name, tuple(protocol.machines))
+        self.protocol = pinned(protocol, self.wanted.choices)
+        self._model = Model(self.protocol)
+        self._model.dictionary.close()
+        device = going(self.protocol, SHAPE)
+        description = described(device)
+        oracle = Oracle(self._model)
+        oracle.raised = description.locals
+        adapter = VirtualAdapter(VirtualSubDevice(device), description)
+        self._ways = {name: pin.alternative for name, pin in device.pins.items()}
+        self._locals = description.locals
+        self._recorder = Recorder(adapter, self._model, oracle)
+
+    # --- tests ------------------------------------------------------------------------------------
+
+    def tests(self) -> Iterator[tuple[str, Test]]:
+        """Yield the layer and the test, one after the other.
+
+        Raises:
+            MissingSolverError: The boundaries of `exhaustive` need the solver.
+
+        """
+        fixed = list(all_cases(self._model, NO_LIMITS, self.wanted.depth))
+        if has_process_data(self._model):
+            way = (*way_to(self._model, "PREOP"), ReadConfiguration())
+            title = "what is assigned and mapped after power-on"
+            yield from self._test(Case(CONFIGURATION, title, CONFIGURATION, way), always=True)
+            known = self._recorder.oracle.example().objects
+            settings = {key[0] for key in self._model.settings}
+            self._objects = {
+                key: value
+                for key, value in known
+                if self._model.image.configures(key[0]) or key[0] in settings
+            }
+        for number, case in enumerate(fixed):
+            self._tell(number, len(fixed), case.name)
+            yield from self._test(case)
+        for suite in complete_suites(
+            self._model, NO_LIMITS, self._locals, self._ways, self.wanted.depth
+        ):
+            yield from self._complete(suite)
+        for number in range(WALKS[self.wanted.depth]):
+            seed = self.wanted.seed + number
+            self._tell(number, WALKS[self.wanted.depth], f"walk {seed}")
+            yield from self._test(walk(self._model, NO_LIMITS, self._locals, seed, WALK))
+
+    def _complete(self, suite: Complete) -> Iterator[tuple[str, Test]]:
+        if self.wanted.only and suite.layer not in self.wanted.only:
+            return
+        first = None
+        for number, case in enumerate(suite.cases()):
+            self._tell(number, suite.suite.tests, case.name)
+            first = first or case.name.rpartition("/")[0]
+            yield from self._test(case)
+        made = suite.suite
+        if first is not None:
+            self.guarantees.append(
+                Guarantee(f"{first}/*", made.method.value, made.m, made.k, made.checked.value)
+            )
+
+    def _test(self, case: Case, *, always: bool = False) -> Iterator[tuple[str, Test]]:
+        if self.wanted.only and case.layer not in self.wanted.only and not always:
+            return
+        requires = bool(self._objects) and _rests_on_configuration(case)
+        try:
+            self._recorder.begin(dict(SHAPE), self._objects if requires else {})
+            for stimulus in case.stimuli:
+                self._recorder.apply(stimulus)
+        except (Deviation, RestlessError):
+            self.restless.append(case.name)
+            return
+        self.number += 1
+        steps = self._recorder.steps
+        flags = [case.flag] if case.flag else []
+        ends = any(_ends(expected) for step in steps for expected in (step.given, *step.expect))
+        if ends:
+            flags.append(OTHER_WAYS)
+        self.flags |= set(flags)
+        rules = dict.fromkeys(rule for step in steps for rule in step.covers)
+        clauses = dict.fromkeys(c for rule in rules for c in self._rules().get(rule, []))
+        yield (
+            case.layer,
+            Test(
+                tcId=self.number,
+                id=case.name,
+                comment=case.title,
+                steps=steps,
+                result="acceptable" if ends else "valid",
+                flags=flags,
+                needs=sorted({s.event for s in case.stimuli if isinstance(s, Happen)}),
+                requires=requires,
+                clauses=sorted(clauses),
+            ),
+        )
+
+    def _tell(self, number: int, total: int, what: str) -> None:
+        if self.progress is not None:
+            self.progress(number, total, what)
+
+    # --- the head ---------------------------------------------------------------------------------
+
+    def head(self) -> Head:
+        """Give the head of the file; it counts the tests that were given so far."""
+        protocol = self.protocol
+        rules = self._rules()
+        cited = {clause for clauses in rules.values() for clause in clauses}
+        pins = {name: pin.alternative for name, pin in protocol.pins.items()}
+        notes = {name: note for name, note in NOTES.items() if name in self.flags}
+        if OTHER_WAYS in self.flags:
+            notes[OTHER_WAYS] = _OTHER_WAYS
+        return Head(
+            schema=SCHEMA,
+            schema_version=SCHEMA_VERSION,
+            generator=Generator(
+                name="ecatspec",
+                version=version(),
+                depth=self.wanted.depth,
+                mailbox=self.wanted.mailbox,
+                seed=self.wanted.seed,
+                only=sorted(self.wanted.only),
+            ),
+            spec=Spec(protocol.name, protocol.wording, protocol.digest),
+            numberOfTests=self.number,
+            header=list(_HEADER),
+            notes={name: Note(name.replace("_", " "), notes[name]) for name in sorted(notes)},
+            guarantee=self.guarantees,
+            choices=dict(sorted(pins.items())),
+            open={n: way for n, way in sorted(self._ways.items()) if n not in pins},
+            config=self._config(),
+            rules=rules,
+            clauses={
+                name: Clause(each.level.value, each.wording, each.source)
+                for name, each in sorted(protocol.clauses.items())
+                if name in cited
+            },
+        )
+
+    def _rules(self) -> dict[str, list[str]]:
+        if not self._cited:
+            self._cited = {
+                f"{machine.name}.{row.name}": sorted(row.clauses)
+                for machine in self.protocol.machines.values()
+                for row in rows_of(machine)
+            }
+        return self._cited
+
+    def _config(self) -> Config:
+        out, back = (self._area(AREAS[name]) for name in SYNC_MANAGERS)
+        status = f"{SYNC_MANAGERS[1]}_status"
+        register = self.protocol.registers[status]
+        mask = field_mask(self.protocol, status, "full").to_bytes(register.size, "little")
+        counter, counter_mask = self._place(COUNTER)
+        return Config(
+            mailboxOut=out,
+            mailboxIn=back,
+            mailboxFull=Area(register.address, register.size),
+            mailboxFullMask=mask.hex(),
+            mailboxHead=self._model.codec.size(MAILBOX),
+            mailboxLength=self._place(_LENGTH)[0],
+            mailboxCounter=counter,
+            mailboxCounterMask=counter_mask,
+            requestUs=self._model.parameter("request_timeout"),
+            passOver=self._unasked(),
+        )
+
+    def _place(self, name: str) -> tuple[Area, str]:
+        """Give the bytes of a field in the mailbox header, and the mask of its bits in them."""
+        low, width = self._model.codec.place(MAILBOX, name)
+        first, last = low // _BYTE, (low + width - 1) // _BYTE
+        mask = (1 << width) - 1 << low - first * _BYTE
+        size = last - first + 1
+        return Area(first, size), mask.to_bytes(size, "little").hex()
+
+    def _area(self, name: str) -> Area:
+        return Area(self._model.parameter(name, "start"), self._model.parameter(name, "length"))
+
+    def _unasked(self) -> list[Allowed]:
+        """Give the messages that a device may send by itself at any time."""
+        found: dict[tuple[str, str], Allowed] = {}
+        for event in self._model.own:
+            for taken in step(self._model, self._model.initial, event):
+                for output in taken.outputs[:1]:
+                    for form in message_forms(self._model, taken.state, output, {}, COUNTER):
+                        allowed = self._recorder.allowed(form)
+                        found[allowed.value, allowed.mask] = allowed
+        return list(found.values())
+
+
+def _rests_on_configuration(case: Case) -> bool:
+    """Tell whether a case shows something else where other process data are assigned."""
+    kinds = (SetUpProcessData, WriteOutputs, ReadConfiguration)
+    return case.layer != "sdo" or any(isinstance(stimulus, kinds) for stimulus in case.stimuli)
+
+
+def _ends(part: object) -> bool:
+    """Tell whether there is another way at a part of a step."""
+    ways = [getattr(part, name, None) for name in ("refused", "otherwise", "none")]
+    ways += [allowed.effect for allowed in getattr(part, "anyOf", ())]
+    return "ends" in ways
+
+
+def export(wanted: Wanted, form: str, out: IO[bytes], progress: Progress | None = None) -> Export:
+    """Write the vectors of a device in a format; give what was written.
+
+    Tests lie in a temporary file until the head is known, so that memory does not grow with them.
+
+    Raises:
+        UserError: There is no such device, choice or layer.
+        MissingSolverError: The boundaries of `exhaustive` need the solver.
+        OSError: The file cannot be written.
+
+    """
+    made = Export(wanted, progress)
+    with tempfile.TemporaryFile() as kept:
+        for layer, test in made.tests():
+            kept.write(msgspec.json.encode((layer, test)) + b"\n")
+        kept.seek(0)
+        decoder = msgspec.json.Decoder(tuple[str, Test])
+        FORMATS[form].write(made.head(), map(decoder.decode, kept), out)
+    return made

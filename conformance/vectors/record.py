@@ -1,0 +1,510 @@
+"""The only place where a case becomes a test vector: played on the virtual SubDevice, and recorded.
+
+The oracle follows. What it would allow at each look, whatever way a device goes, becomes the
+expectation; where another way leads to other states than the recorded one, the test ends there as
+acceptable. All that a device may be busy with is awaited before a look, so that a look shows the
+same on every device that goes the same way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Final, Literal
+
+from ecatspec.conformance.session import NOTHING, Session
+from ecatspec.generators.case import Happen
+from ecatspec.generators.vectors import (
+    Allowed,
+    Cycle,
+    Full,
+    Local,
+    Mail,
+    Read,
+    Send,
+    Step,
+    Write,
+)
+from ecatspec.model.candidates import Exchange
+from ecatspec.model.compiled import MAILBOX
+from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.forms import Form, input_form, message_forms, register_forms
+from ecatspec.model.serving import is_alive, is_idle
+from ecatspec.model.shown import decided, process_area
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.generators.case import Stimulus
+    from ecatspec.generators.vectors import Effect, Expected, Input
+    from ecatspec.model.candidates import Candidate
+    from ecatspec.model.compiled import Model
+    from ecatspec.model.oracle import Oracle
+    from ecatspec.model.serving import Explanations
+    from ecatspec.model.state import RuleName
+    from ecatspec.model.values import ObjectKey
+    from ecatspec.spec.language.ir import Register
+
+MAIN_OUT, MAIN_IN = SYNC_MANAGERS
+DATA_OUT, DATA_IN = PROCESS_DATA
+_STATUS: Final = f"{MAIN_IN}_status"
+COUNTER: Final = "counter"
+_BYTE: Final = 8
+_KEPT: Final = 4096
+"""So many expectations are kept, since many tests begin alike."""
+_LONGEST: Final = 3_600_000_000
+_TRIES: Final = 64
+"""So often it is waited and looked before a device counts as never coming to rest."""
+
+
+class RestlessError(Exception):
+    """A case after which the virtual SubDevice does not come to rest: it has no vector."""
+
+
+class Recorder(Session):
+    """A session with the virtual SubDevice that keeps what was done and what may be seen."""
+
+    def __init__(self, adapter: Adapter, model: Model, oracle: Oracle) -> None:
+        """Take what a session takes; the device goes the ways that the vectors are to go."""
+        super().__init__(adapter, model, oracle)
+        self.steps: list[Step] = []
+        self._draft = _Draft()
+        self._cycled: tuple[int, bytes] | None = None
+        """What was written while time passed; None: time does not pass."""
+        self._waiting = False
+        self._unread = False
+        self._looks: list[Exchange] = []
+        self._full_before: Oracle | None = None
+        self._told = 0
+        self._states: dict[str, str] = {}
+        self._kept: dict[object, _Made] = {}
+        self._besides: Explanations = {}
+        """What explains something that is only seen where the device did something by itself."""
+        low, width = model.codec.place(MAILBOX, COUNTER)
+        self._counter_bits = (1 << width) - 1 << low
+
+    # --- what is done -----------------------------------------------------------------------------
+
+    def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
+        """Power cycle the device, and forget the steps before."""
+        self.steps = []
+        self._draft = _Draft()
+        self._told = 0
+        self._states = {}
+        super().begin(choices, objects)
+        self._close()
+
+    def apply(self, stimulus: Stimulus) -> None:
+        """Give one stimulus, and keep the steps that it takes."""
+        if isinstance(stimulus, Happen):
+            self._draft.given = Local(stimulus.event)
+        super().apply(stimulus)
+        self._close()
+
+    def _write(self, address: int, data: bytes) -> int:
+        if self._waiting:
+            counter = super()._write(address, data)
+            self._cycled = (address, data)
+            return counter
+        self._close()
+        before = replace(self.oracle)
+        counter = super()._write(address, data)
+        self._draft.given = self._input(before, self._exchange(address, data, counter, write=True))
+        return counter
+
+    def _input(self, before: Oracle, exchange: Exchange) -> Input:
+        address, data = exchange.address, exchange.data
+        if address == self._area(MAIN_OUT)[0] and exchange.working_counter:
+            message = self.model.decode(data)
+            name = "bytes" if message is None else message.frame
+            return Send(address, data.rstrip(b"\0").hex(), name)
+        names = [r.name for r in self.model.protocol.registers.values() if _touches(r, exchange)]
+        symbol = " ".join(names) or "process_data"
+        other = replace(exchange, working_counter=1 - exchange.working_counter)
+        effect = self._effect(before, [other])
+        counter = 1 if exchange.working_counter else 0
+        return Write(address, data.hex(), symbol, counter, effect)
+
+    def _wait(self, microseconds: int) -> None:
+        if self._draft.expect:
+            self._close()
+        self._waiting, self._cycled = True, None
+        try:
+            super()._wait(microseconds)
+        finally:
+            self._waiting = False
+        self._draft.us += microseconds
+        if self._cycled is not None:
+            address, data = self._cycled
+            self._draft.cycle = Cycle(address, data.hex(), self._cycle())
+
+    def _settle(self, *, unread: bool = False) -> None:
+        self._unread = unread
+        waited, began, before = self._draft.us, self.time, replace(self.oracle)
+        for tried in range(_TRIES):
+            while (until := self.oracle.busy_until(self.time)) > self.time:
+                self._wait(until - self.time)
+                if self.time > began + _LONGEST:
+                    raise RestlessError
+            self._looks = []
+            self._look(unread=unread)
+            if not tried and not waited:
+                self._draft.early = self._shows_early(before, began)
+            if self.oracle.settled(self.time, unread=unread):
+                return
+        raise RestlessError
+
+    def _shows_early(self, before: Oracle, time: int) -> bool:
+        """Tell whether a device that shows this at once has nothing left to do."""
+        for exchange in self._looks:
+            if before.observe(replace(exchange, time=time)) is not None:
+                return False
+        if not before.settled(time, unread=self._unread):
+            return False
+        timers = self._draft.cycle is None and any(
+            pending.timer and not is_idle(self.model, candidate.state, pending.event)
+            for candidate in (*before.candidates, *self.oracle.candidates)
+            for pending in candidate.inbox
+        )
+        return not timers and _at_rest(before.candidates) == _at_rest(self.oracle.candidates)
+
+    def _close(self) -> None:
+        """End the step that is being taken."""
+        draft, self._draft = self._draft, _Draft()
+        if draft == _Draft():
+            return
+        states = self._known_states()
+        changed = {name: state for name, state in states.items() if self._states.get(name) != state}
+        self._states |= changed
+        self.steps.append(
+            Step(
+                given=draft.given,
+                us=draft.us,
+                early=draft.early and draft.us > 0,
+                cycle=draft.cycle,
+                expect=draft.expect,
+                state=changed,
+                covers=self._recent_rules(),
+            )
+        )
+
+    def _known_states(self) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for machine in self.model.protocol.machines:
+            slot = self.model.slots[f"{machine}.state"]
+            names = self.model.state_names(machine)
+            if len(names) == 1:
+                continue
+            values = {candidate.state.slots[slot] for candidate in self.oracle.candidates}
+            if len(values) == 1 and isinstance(value := values.pop(), int):
+                found[machine] = names[value]
+        return found
+
+    def _recent_rules(self) -> list[str]:
+        histories = list(self.oracle.candidates.values())
+        recent = [set(history[self._told :]) for history in histories]
+        self._told = min(map(len, histories), default=0)
+        return sorted(map(str, set.intersection(*recent))) if recent else []
+
+    # --- what may be seen -------------------------------------------------------------------------
+
+    def _observe(self, exchange: Exchange) -> None:
+        if exchange.write:
+            super()._observe(exchange)
+            return
+        before = replace(self.oracle)
+        super()._observe(exchange)
+        self._looks.append(exchange)
+        made = self._expected(before, exchange)
+        if made.expected is not None:
+            self._draft.expect.append(made.expected)
+        if made.besides:
+            # which of these ways the device went does not matter: it may go any of them later
+            self.oracle.candidates = {**dict(made.besides), **self.oracle.candidates}
+
+    def _expected(self, before: Oracle, exchange: Exchange) -> _Made:
+        status = self.model.protocol.registers[_STATUS]
+        if exchange.address == status.address and self._looks and exchange.working_counter:
+            raw = int.from_bytes(exchange.data[: status.size], "little")
+            full = bool(field_of(self.model.protocol, _STATUS, "full", raw))
+            if self._unread:
+                return _Made(self._fullness(before, exchange, full=full))
+            if full:
+                self._full_before = before
+                return _Made(None)
+            return self._remembered(before, exchange, self._nothing)
+        if exchange.address == self._area(MAIN_IN)[0]:
+            before, self._full_before = self._full_before or before, None
+            return self._remembered(before, exchange, self._message)
+        if before.process_area(DATA_IN) == exchange.span():
+            return self._remembered(before, exchange, self._inputs)
+        return self._remembered(before, exchange, self._registers)
+
+    def _remembered(
+        self,
+        before: Oracle,
+        exchange: Exchange,
+        make: Callable[[Oracle, Exchange], Expected | None],
+    ) -> _Made:
+        """Give what `make` gives; where the device rests it depends on its state alone."""
+        found = before.expanded(exchange.time)
+        self._besides = {}
+        if any(p.since <= exchange.time for c in found for p in c.inbox):
+            return _Made(make(before, exchange), tuple(self._besides.items()))
+        key = (
+            frozenset((c.state, c.outbox, c.loose, len(c.inbox), c.last, c.ready) for c in found),
+            exchange.span(),
+            exchange.data,
+            exchange.working_counter,
+        )
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            self._kept[key] = _Made(make(before, exchange), tuple(self._besides.items()))
+        return self._kept[key]
+
+    def _fullness(self, before: Oracle, exchange: Exchange, *, full: bool) -> Full:
+        other = self._status_read(exchange, full=not full)
+        return Full(full, self._effect(before, [other]))
+
+    def _nothing(self, before: Oracle, exchange: Exchange) -> Mail | None:
+        """Give what else may come where no message came; where anything may, all is taken away."""
+        found = before.expanded(exchange.time)
+        loose = [bool(c.loose) or not is_alive(self.model, c.state) for c in found]
+        if all(loose):
+            return Mail([], none="passes", otherwise="passes")
+        others = self._allowed_mail(before, exchange, b"")
+        return Mail(others, none="passes", otherwise="ends" if any(loose) else None)
+
+    def _message(self, before: Oracle, exchange: Exchange) -> Mail | None:
+        found = before.expanded(exchange.time)
+        loose = [bool(c.loose) or not is_alive(self.model, c.state) for c in found]
+        if all(loose):
+            return None
+        message = self.model.decode(exchange.data)
+        size = len(exchange.data) if message is None else self._size(exchange.data)
+        data = exchange.data[:size]
+        allowed = self._allowed_mail(before, exchange, data)
+        if not any(each.effect == "passes" and _matches(each, data) for each in allowed):
+            allowed.insert(0, self.allowed(Form(size, int.from_bytes(data, "little"))))
+        again = any(c.outbox and c.outbox[0].again is not None for c in found)
+        none = self._effect(before, [self._status_read(exchange, full=False)])
+        return Mail(
+            allowed,
+            "bytes" if message is None else message.frame,
+            none,
+            "ends" if any(loose) else None,
+            "same" if again else self._counts(found),
+        )
+
+    def _counts(self, found: Iterable[Candidate]) -> Literal["new", "any"]:
+        """Tell whether the counter has to be another than that of the message before."""
+        slot = self.model.slots["mailbox.sent"]
+        sent = [candidate.state.slots[slot] for candidate in found]
+        return "new" if all(isinstance(each, int) and each for each in sent) else "any"
+
+    def _allowed_mail(self, before: Oracle, exchange: Exchange, data: bytes) -> list[Allowed]:
+        start, length = self._area(MAIN_IN)
+        full = self._status_read(exchange, full=True)
+        message = self.model.decode(data) if data else None
+        observed = {} if message is None else message.fields
+
+        def shown(content: bytes) -> list[Exchange]:
+            whole = content[:length].ljust(length, b"\0")
+            return [full, Exchange(exchange.time, False, start, whole, 1)]  # noqa: FBT003
+
+        forms: dict[Form, None] = {}
+        for candidate in self._possible(before, exchange):
+            for output in candidate.outbox[:1]:
+                if output.again is not None:
+                    again = output.again[: self._size(output.again)] if output.again else b""
+                    forms[Form(len(again), int.from_bytes(again, "little"))] = None
+                else:
+                    made = message_forms(self.model, candidate.state, output, observed, COUNTER)
+                    forms |= dict.fromkeys(f for form in made if (f := form.within(length)))
+        return self._allowed(before, forms, data, shown, self._counter_bits)
+
+    def _possible(self, before: Oracle, exchange: Exchange) -> Explanations:
+        """Give the explanations, with what a device may have done by itself."""
+        other = replace(before)
+        other.candidates = other.befallen(exchange.time)
+        return other.expanded(exchange.time)
+
+    def _size(self, data: bytes) -> int:
+        """Give the bytes of a message: what follows is never compared."""
+        head = self.model.codec.size(MAILBOX)
+        return min(len(data), head + int.from_bytes(data[:2], "little"))
+
+    def _status_read(self, exchange: Exchange, *, full: bool) -> Exchange:
+        register = self.model.protocol.registers[_STATUS]
+        raw = field_mask(self.model.protocol, _STATUS, "full") if full else 0
+        data = raw.to_bytes(register.size, "little")
+        return Exchange(exchange.time, False, register.address, data, 1)  # noqa: FBT003
+
+    def _inputs(self, before: Oracle, exchange: Exchange) -> Read:
+        forms: dict[Form, None] = {}
+        free = (1 << len(exchange.data) * _BYTE) - 1
+        for candidate in self._possible(before, exchange):
+            if process_area(self.model, candidate.state, DATA_IN) != exchange.span():
+                forms[Form(len(exchange.data), 0, (free,))] = None
+                continue
+            for state in decided(self.model, candidate.state, exchange.data):
+                forms[input_form(self.model, state, exchange.data)] = None
+        return self._read_of(before, exchange, forms, "inputs")
+
+    def _registers(self, before: Oracle, exchange: Exchange) -> Read:
+        end = exchange.address + len(exchange.data)
+        inside = [
+            register
+            for register in self.model.protocol.registers.values()
+            if exchange.address <= register.address and register.address + register.size <= end
+        ]
+        forms: dict[Form, None] = {}
+        for candidate in self._possible(before, exchange):
+            forms |= dict.fromkeys(register_forms(self.model, candidate.state, inside))
+        symbol = " ".join(register.name for register in inside) or "memory"
+        return self._read_of(before, exchange, forms, symbol)
+
+    def _read_of(
+        self, before: Oracle, exchange: Exchange, forms: dict[Form, None], symbol: str
+    ) -> Read:
+        data = exchange.data
+
+        def shown(content: bytes) -> list[Exchange]:
+            return [replace(exchange, data=content, working_counter=1)]
+
+        nothing = replace(exchange, data=bytes(len(data)), working_counter=0)
+        refused = self._effect(before, [nothing])
+        allowed = self._allowed(before, forms, data, shown, 0)
+        return Read(exchange.address, len(data), symbol, allowed, refused)
+
+    def allowed(self, form: Form) -> Allowed:
+        """Give a message that may come; its counter is compared elsewhere."""
+        return _allowed(form.size, form.value, form.open_bits | self._counter_bits, "passes")
+
+    # --- what becomes of it -----------------------------------------------------------------------
+
+    def _allowed(
+        self,
+        before: Oracle,
+        forms: Iterable[Form],
+        data: bytes,
+        shown: Callable[[bytes], list[Exchange]],
+        unseen: int,
+    ) -> list[Allowed]:
+        """Give what the oracle makes of forms; bits that are `unseen` are compared elsewhere."""
+        found: dict[tuple[str, str], Allowed] = {}
+
+        def effect(form: Form, raw: int) -> Effect | None:
+            return self._effect(before, shown(raw.to_bytes(form.size, "little")))
+
+        def allow(form: Form, raw: int, free: int, what: Effect) -> None:
+            made = _allowed(form.size, raw, free | unseen, what, form.least)
+            found[made.value, made.mask] = made
+
+        for form in forms:
+            kept = form.having(data) if len(data) >= form.size else form
+            raw = kept.value
+            what = None if form.least is not None else effect(form, raw)
+            if what is None:
+                if form.free:  # what fits together is not known
+                    allow(form, raw, form.open_bits, "ends")
+                continue
+            parts = [mask & ~unseen for mask in form.free if mask & ~unseen]
+            passing = self._indifferent(form, raw, parts, what, effect)
+            allow(form, raw, passing, what)
+            if what == "passes" and passing != form.open_bits & ~unseen:
+                ending = self._indifferent(form, raw, parts, None, effect)
+                if ending != passing:
+                    allow(form, raw, ending, "ends")
+        return sorted(found.values(), key=lambda each: each.effect != "passes")
+
+    def _indifferent(
+        self,
+        form: Form,
+        raw: int,
+        parts: list[int],
+        what: Effect | None,
+        effect: Callable[[Form, int], Effect | None],
+    ) -> int:
+        """Give the bits that may change with the same effect, or with any that is allowed."""
+
+        def same(mask: int) -> bool:
+            seen = effect(form, raw ^ mask)
+            return seen is not None and what in {None, seen}
+
+        whole = 0
+        for part in parts:
+            whole |= part
+        if not whole or same(whole):
+            return whole
+        alone = 0
+        for part in parts:
+            if same(part):
+                alone |= part
+        return alone if alone and same(alone) else 0
+
+    def _effect(self, before: Oracle, exchanges: list[Exchange]) -> Effect | None:
+        """Give what it means to see this instead; None: it is not allowed.
+
+        Where a device may come from what was recorded to this by itself, it may go on with both.
+        """
+        other = replace(before)
+        for exchange in exchanges:
+            if other.observe(exchange) is not None:
+                return None
+        if _alike(other.candidates) == _alike(self.oracle.candidates):
+            return "passes"
+        possible = self._possible(self.oracle, exchanges[-1]) if self.model.own else {}
+        if _at_rest(other.candidates) <= _at_rest(possible):
+            self._besides = {**other.candidates, **self._besides}
+            return "passes"
+        return "ends"
+
+
+def _allowed(size: int, raw: int, free: int, effect: Effect, least: int | None = None) -> Allowed:
+    mask = (1 << size * _BYTE) - 1 & ~free
+    value = (raw & mask).to_bytes(size, "little").hex()
+    return Allowed(value, mask.to_bytes(size, "little").hex(), effect, least)
+
+
+def _alike(candidates: Iterable[Candidate]) -> frozenset[Candidate]:
+    return frozenset(replace(candidate, last=None) for candidate in candidates)
+
+
+def _at_rest(candidates: Iterable[Candidate]) -> frozenset[object]:
+    """Give explanations without their times."""
+    return frozenset(
+        (c.state, c.outbox, c.loose, frozenset(p.target() for p in c.inbox)) for c in candidates
+    )
+
+
+def _matches(allowed: Allowed, data: bytes) -> bool:
+    value, mask = bytes.fromhex(allowed.value), bytes.fromhex(allowed.mask)
+    return len(data) >= len(value) and all(
+        not (seen ^ wanted) & sure for seen, wanted, sure in zip(data, value, mask, strict=False)
+    )
+
+
+def _touches(register: Register, exchange: Exchange) -> bool:
+    end = exchange.address + len(exchange.data)
+    return register.address < end and exchange.address < register.address + register.size
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """An expectation, and explanations besides those of what was recorded that go on with it."""
+
+    expected: Expected | None
+    besides: tuple[tuple[Candidate, tuple[RuleName, ...]], ...] = ()
+
+
+@dataclass(slots=True)
+class _Draft:
+    """A step that is being taken."""
+
+    given: Input | None = None
+    us: int = 0
+    early: bool = False
+    cycle: Cycle | None = None
+    expect: list[Expected] = field(default_factory=list)

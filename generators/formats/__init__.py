@@ -1,0 +1,38 @@
+"""The only place for the table of formats: how test vectors are written.
+
+A format is a file here with `write(head, tests, out)` and a row in FORMATS.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.generators.formats import c_format, json_format
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+    from typing import IO
+
+    from ecatspec.generators.vectors import Head, Test
+
+    Writer = Callable[[Head, Iterable[tuple[str, Test]], IO[bytes]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A way to write vectors: what it is for, how its files end, and whether they are text."""
+
+    summary: str
+    ending: str
+    write: Writer
+    text: bool = True
+
+
+FORMATS: Final[Mapping[str, Format]] = MappingProxyType(
+    {
+        "json": Format("everything, for programs", "json", json_format.write),
+        "c": Format("a header with tables and a runner, for firmware tests", "h", c_format.write),
+    }
+)

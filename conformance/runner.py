@@ -249,7 +249,7 @@ class Runner:
                 self.configured = {
                     key: value
                     for key, value in self.session.oracle.example().objects
-                    if self._sets_up(key[0])
+                    if self.model.sets_up(key[0])
                 }
             self.session.trace = []
         return self.configured
@@ -259,11 +259,7 @@ class Runner:
         if not isinstance(stimulus, SendFrame) or not begins_download(stimulus):
             return False
         index = stimulus.fields["index"]
-        return isinstance(index, int) and self._sets_up(index)
-
-    def _sets_up(self, index: int) -> bool:
-        settings = {key[0] for key in self.model.settings}
-        return self.model.image.configures(index) or index in settings
+        return isinstance(index, int) and self.model.sets_up(index)
 
     def walk(self, seed: int) -> Case:
         """Give a random walk for this device."""

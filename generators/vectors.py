@@ -11,6 +11,8 @@ from typing import Annotated, Any, Final, Literal, TypeAlias
 import msgspec
 from msgspec import Meta, Struct, field
 
+from ecatspec.spec.language.ir import Level  # noqa: TC001  msgspec reads the annotations
+
 SCHEMA: Final = "ecatspec.vectors"
 SCHEMA_VERSION: Final = 1
 
@@ -234,7 +236,7 @@ class Guarantee(_Part, frozen=True):
 class Clause(_Part, frozen=True):
     """A statement of the standard or of a manual."""
 
-    level: Literal["must", "should", "may"]
+    level: Level
     says: Text
     source: Text
 

@@ -64,6 +64,7 @@ class Codec:
         for children in self._children.values():
             children.sort(key=self._weight, reverse=True)
         self._trails = {name: self._trail(name) for name in protocol.frames}
+        self._bits: dict[tuple[str, str], int | None] = {}
         self._fixed = {name: self._constants(name) for name in protocol.frames}
 
     def trail(self, frame: str) -> tuple[str, ...]:
@@ -102,6 +103,23 @@ class Codec:
                 return offset, part.width
             offset += part.width
         raise KeyError(f"{frame}.{field}")
+
+    def bits(self, frame: str, field: str) -> int | None:
+        """Give the bits of a number in the whole message; None: they lie behind something open."""
+        if (frame, field) not in self._bits:
+            self._bits[frame, field] = self._bits_of(frame, field)
+        return self._bits[frame, field]
+
+    def _bits_of(self, frame: str, field: str) -> int | None:
+        offset = 0
+        for name in self.trail(frame):
+            for part in self._parts[name]:
+                if part.name == field:
+                    return None if part.width is None else (1 << part.width) - 1 << offset
+                if part.width is None and part is not self._parts[name][-1]:
+                    return None
+                offset += part.width or 0
+        return None
 
     def size(self, frame: str) -> int:
         """Give the bytes of a layout of fixed widths."""

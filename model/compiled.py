@@ -260,6 +260,10 @@ class Model:
             if i.kind == kind
         )
 
+    def sets_up(self, index: int) -> bool:
+        """Tell whether an object has a say in what process data hold."""
+        return self.image.configures(index) or any(key[0] == index for key in self.settings)
+
     def signature(self, event: Event) -> tuple[tuple[str, Type], ...]:
         """Give the parameters of an input with their types."""
         inputs = self.protocol.machines[event.machine].inputs

@@ -28,6 +28,9 @@ _FEW: Final = 8
 _MOST: Final = 64
 """Forms of one message at most; beyond that fields are free."""
 _BYTE: Final = 8
+_SOME: Final = 16
+"""Bytes of a content that is long enough for no layout to treat it specially."""
+_ENDS: Final = (b"\0", b"\xff")
 _ANY_BYTES: Final = Pattern(lengths=(0, 1 << 16))
 """A string of bytes of which nothing is said."""
 
@@ -132,7 +135,7 @@ def _few(value: Value) -> list[int] | None:
 
 
 def _is_bytes(value: Value) -> bool:
-    return isinstance(value, bytes) or isinstance(value, Pattern) and value.lengths is not None
+    return isinstance(value, bytes) or (isinstance(value, Pattern) and value.lengths is not None)
 
 
 def _chosen(value: Value, observed: Value | None) -> Value:
@@ -161,14 +164,17 @@ def _forms(
         if isinstance(value, Pattern) and value.lengths and len(set(value.lengths)) > 1:
             start = len(model.codec.encode(frame, {**chosen, name: b""}))
             lengths = (
-                _changed(model, frame, chosen, counted, (0, -1))
+                model.codec.bits(frame, counted) or 0
                 for counted in model.codec.field_names(frame)
                 if model.codec.is_derived(frame, counted)
             )
             longest = {**chosen, name: b"" if value is _ANY_BYTES else value.longest()}
             most = model.codec.encode(frame, longest)
             unsaid = _unsaid(model, frame, longest, name, value)
-            masks = (*free, *lengths, *([unsaid] if unsaid else []))
+            # what the encoder makes of the content is another for another length
+            some = [_changed(model, frame, chosen, name, (b"", each * _SOME)) for each in _ENDS]
+            made = (some[0] | some[1]) & (1 << start * _BYTE) - 1
+            masks = tuple(mask for mask in (*free, *lengths, unsaid, made) if mask)
             yield Form(len(most), int.from_bytes(most, "little"), masks, start)
 
 
@@ -183,7 +189,8 @@ def _unsaid(
     """Give the bits of a field that may be anything, as far as it is as long as chosen."""
     content = chosen[name]
     if not isinstance(content, bytes):
-        return _changed(model, frame, chosen, name, (0, -1))
+        bits = model.codec.bits(frame, name)
+        return bits if bits is not None else _changed(model, frame, chosen, name, (0, -1))
     known = bytes(len(content))
     if value.content is not None:
         mask = value.mask or b"\xff" * len(value.content)

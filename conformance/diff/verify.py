@@ -25,7 +25,7 @@ from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, admits, bits_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.conformance.diff.behaviour import Behaviour
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ecatspec.conformance.diff.machines import Part
     from ecatspec.generators.case import Case
     from ecatspec.model.values import Value
+    from ecatspec.spec.language.ir import Protocol
 
 _STATUS_BIT = "status bit "
 _ANSWER = "answer "

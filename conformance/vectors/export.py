@@ -67,15 +67,15 @@ _OTHER_WAYS: Final = (
     "Somewhere the texts allow more than one way, and the test goes on with one of them only; a"
     " device that goes another is not tried further."
 )
-_HEADER: Final = (
-    "Each test begins with a power cycle. A step: do `in`, let `us` of the device's time pass "
-    "(writing `cycle` while it does), then look for all that `expect` says, in order.",
-    "Bytes are right when they equal a `value` wherever its `mask` has a bit. `passes`: go on. "
-    "`ends`: the device went another way that is allowed; the test ends, and counts as passed.",
-    "Nothing befalls the device that no step raises: where power or synchronisation may fail on "
-    "the bench, a failure has to be looked at with that in mind.",
-    "docs/vectors.md of ecatspec says it all, glossary first.",
-)
+_HEADER: Final = """\
+Each test begins with a power cycle. A step: do `in`, let `us` of the device's time pass (writing
+`cycle` while it does), then look for all that `expect` says, in order.
+Bytes are right when they equal a `value` wherever its `mask` has a bit. `passes`: go on. `ends`:
+the device went another way that is allowed; the test ends, and counts as passed.
+Nothing befalls the device that no step raises: where power or synchronisation may fail on the
+bench, a failure has to be looked at with that in mind.
+docs/vectors.md of ecatspec says it all, glossary first.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,19 +146,7 @@ class Export:
             MissingSolverError: The boundaries of `exhaustive` need the solver.
 
         """
-        fixed = list(all_cases(self._model, NO_LIMITS, self.wanted.depth))
-        if has_process_data(self._model):
-            way = (*way_to(self._model, "PREOP"), ReadConfiguration())
-            title = "what is assigned and mapped after power-on"
-            yield from self._test(Case(CONFIGURATION, title, CONFIGURATION, way), always=True)
-            known = self._recorder.oracle.example().objects
-            settings = {key[0] for key in self._model.settings}
-            self._objects = {
-                key: value
-                for key, value in known
-                if self._model.image.configures(key[0]) or key[0] in settings
-            }
-        for number, case in enumerate(fixed):
+        for number, case in enumerate(fixed := self._fixed()):
             self._tell(number, len(fixed), case.name)
             yield from self._test(case)
         for suite in complete_suites(
@@ -168,7 +156,20 @@ class Export:
         for number in range(WALKS[self.wanted.depth]):
             seed = self.wanted.seed + number
             self._tell(number, WALKS[self.wanted.depth], f"walk {seed}")
-            yield from self._test(walk(self._model, NO_LIMITS, self._locals, seed, WALK))
+            case = walk(self._model, NO_LIMITS, self._locals, seed, WALK)
+            if not self.wanted.only or case.layer in self.wanted.only:
+                yield from self._test(case)
+
+    def _fixed(self) -> list[Case]:
+        """Give the cases that do not depend on the device; the configuration first."""
+        every = list(all_cases(self._model, NO_LIMITS, self.wanted.depth))
+        only = self.wanted.only
+        chosen = [case for case in every if not only or case.layer in only]
+        if has_process_data(self._model):
+            way = (*way_to(self._model, "PREOP"), ReadConfiguration())
+            title = "what is assigned and mapped after power-on"
+            chosen.insert(0, Case(CONFIGURATION, title, CONFIGURATION, way))
+        return chosen
 
     def _complete(self, suite: Complete) -> Iterator[tuple[str, Test]]:
         if self.wanted.only and suite.layer not in self.wanted.only:
@@ -184,9 +185,13 @@ class Export:
                 Guarantee(f"{first}/*", made.method.value, made.m, made.k, made.checked.value)
             )
 
-    def _test(self, case: Case, *, always: bool = False) -> Iterator[tuple[str, Test]]:
-        if self.wanted.only and case.layer not in self.wanted.only and not always:
-            return
+    def _test(self, case: Case) -> Iterator[tuple[str, Test]]:
+        test = self.record(case)
+        if test is not None:
+            yield case.layer, test
+
+    def record(self, case: Case) -> Test | None:
+        """Give the test that a case becomes; None: the virtual SubDevice comes to no rest in it."""
         requires = bool(self._objects) and _rests_on_configuration(case)
         try:
             self._recorder.begin(dict(SHAPE), self._objects if requires else {})
@@ -194,7 +199,10 @@ class Export:
                 self._recorder.apply(stimulus)
         except (Deviation, RestlessError):
             self.restless.append(case.name)
-            return
+            return None
+        if case.name == CONFIGURATION:
+            known = self._recorder.oracle.example().objects
+            self._objects = {key: value for key, value in known if self._model.sets_up(key[0])}
         self.number += 1
         steps = self._recorder.steps
         flags = [case.flag] if case.flag else []
@@ -204,19 +212,16 @@ class Export:
         self.flags |= set(flags)
         rules = dict.fromkeys(rule for step in steps for rule in step.covers)
         clauses = dict.fromkeys(c for rule in rules for c in self._rules().get(rule, []))
-        yield (
-            case.layer,
-            Test(
-                tcId=self.number,
-                id=case.name,
-                comment=case.title,
-                steps=steps,
-                result="acceptable" if ends else "valid",
-                flags=flags,
-                needs=sorted({s.event for s in case.stimuli if isinstance(s, Happen)}),
-                requires=requires,
-                clauses=sorted(clauses),
-            ),
+        return Test(
+            tcId=self.number,
+            id=case.name,
+            comment=case.title,
+            steps=steps,
+            result="acceptable" if ends else "valid",
+            flags=flags,
+            needs=sorted({s.event for s in case.stimuli if isinstance(s, Happen)}),
+            requires=requires,
+            clauses=sorted(clauses),
         )
 
     def _tell(self, number: int, total: int, what: str) -> None:
@@ -247,7 +252,7 @@ class Export:
             ),
             spec=Spec(protocol.name, protocol.wording, protocol.digest),
             numberOfTests=self.number,
-            header=list(_HEADER),
+            header=_HEADER.splitlines(),
             notes={name: Note(name.replace("_", " "), notes[name]) for name in sorted(notes)},
             guarantee=self.guarantees,
             choices=dict(sorted(pins.items())),
@@ -255,7 +260,7 @@ class Export:
             config=self._config(),
             rules=rules,
             clauses={
-                name: Clause(each.level.value, each.wording, each.source)
+                name: Clause(each.level, each.wording, each.source)
                 for name, each in sorted(protocol.clauses.items())
                 if name in cited
             },

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from ecatspec.conformance.session import NOTHING, Session
-from ecatspec.generators.case import Happen
+from ecatspec.generators.case import Happen, Repeat
 from ecatspec.generators.vectors import (
     Allowed,
     Cycle,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
-_STATUS: Final = f"{MAIN_IN}_status"
+_STATUS, _ACKNOWLEDGE = f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control"
 COUNTER: Final = "counter"
 _BYTE: Final = 8
 _KEPT: Final = 4096
@@ -73,6 +73,8 @@ class Recorder(Session):
         """What was written while time passed; None: time does not pass."""
         self._waiting = False
         self._unread = False
+        self._repeats = False
+        """Whether a repeat was asked for: then the acknowledge bit tells something."""
         self._looks: list[Exchange] = []
         self._full_before: Oracle | None = None
         self._told = 0
@@ -90,12 +92,14 @@ class Recorder(Session):
         self.steps = []
         self._draft = _Draft()
         self._told = 0
+        self._repeats = False
         self._states = {}
         super().begin(choices, objects)
         self._close()
 
     def apply(self, stimulus: Stimulus) -> None:
         """Give one stimulus, and keep the steps that it takes."""
+        self._repeats |= isinstance(stimulus, Repeat)
         if isinstance(stimulus, Happen):
             self._draft.given = Local(stimulus.event)
         super().apply(stimulus)
@@ -122,8 +126,7 @@ class Recorder(Session):
         symbol = " ".join(names) or "process_data"
         other = replace(exchange, working_counter=1 - exchange.working_counter)
         effect = self._effect(before, [other])
-        counter = 1 if exchange.working_counter else 0
-        return Write(address, data.hex(), symbol, counter, effect)
+        return Write(address, data.hex(), symbol, 1 if exchange.working_counter else 0, effect)
 
     def _wait(self, microseconds: int) -> None:
         if self._draft.expect:
@@ -215,6 +218,8 @@ class Recorder(Session):
         before = replace(self.oracle)
         super()._observe(exchange)
         self._looks.append(exchange)
+        if self._repeats and exchange.address == self.model.protocol.registers[_STATUS].address:
+            self._draft.expect.append(self._acknowledged(before, exchange))
         made = self._expected(before, exchange)
         if made.expected is not None:
             self._draft.expect.append(made.expected)
@@ -340,6 +345,22 @@ class Recorder(Session):
         raw = field_mask(self.model.protocol, _STATUS, "full") if full else 0
         data = raw.to_bytes(register.size, "little")
         return Exchange(exchange.time, False, register.address, data, 1)  # noqa: FBT003
+
+    def _acknowledged(self, before: Oracle, exchange: Exchange) -> Read:
+        """Give what the register may show that lies behind the status of the mailbox."""
+        register = self.model.protocol.registers[_ACKNOWLEDGE]
+        place = register.address - exchange.address
+        data = exchange.data[place : place + register.size]
+
+        def shown(content: bytes) -> list[Exchange]:
+            whole = exchange.data[:place] + content + exchange.data[place + register.size :]
+            return [replace(exchange, data=whole)]
+
+        forms: dict[Form, None] = {}
+        for candidate in self._possible(before, exchange):
+            forms |= dict.fromkeys(register_forms(self.model, candidate.state, [register]))
+        allowed = self._allowed(before, forms, data, shown, 0)
+        return Read(register.address, register.size, register.name, allowed, "passes")
 
     def _inputs(self, before: Oracle, exchange: Exchange) -> Read:
         forms: dict[Form, None] = {}

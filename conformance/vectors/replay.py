@@ -63,6 +63,7 @@ class Player:
     """Whether the first test showed the configuration that others take for granted."""
     _time: int = 0
     _counter: int | None = None
+    _number: int = 0
     _trace: list[TraceLine] = field(default_factory=list)
 
     def judge(self, test: Test) -> Verdict:
@@ -84,20 +85,19 @@ class Player:
     def _judge(self, test: Test) -> Verdict:
         self._time, self._counter, self._trace = 0, None, []
         last: list[str] = []
-        number = 0
         try:
             self.adapter.reset()
-            for number, step in enumerate(test.steps, 1):
+            for self._number, step in enumerate(test.steps, 1):
                 last = step.covers or last
                 self._take(step)
         except _End:
-            reason = f"went another way in step {number}, which is allowed; the rest was not tried"
+            reason = f"went another way in step {self._number}, which is allowed: not tried further"
             return Verdict(test.id, Outcome.PASS, test.comment, reason)
         except _Fault as fault:
-            return self._failure(test, number, last, fault)
+            return self._failure(test, last, fault)
         except (DeviceCrash, DeviceHang, DeviceRubbish) as death:
-            fault = _Fault(type(death).__name__, ("a device that lives",), str(death))
-            return self._failure(test, number, last, fault, Outcome.CRASH)
+            died = _Fault(type(death).__name__, ("a device that lives",), str(death))
+            return self._failure(test, last, died, Outcome.CRASH)
         except AdapterError as trouble:
             return Verdict(test.id, Outcome.ERROR, test.comment, str(trouble))
         return Verdict(test.id, Outcome.PASS, test.comment)
@@ -105,7 +105,6 @@ class Player:
     def _failure(
         self,
         test: Test,
-        number: int,
         rules: Iterable[str],
         fault: _Fault,
         outcome: Outcome | None = None,
@@ -119,7 +118,7 @@ class Player:
             test.id,
             outcome or (Outcome.FAIL if blames else Outcome.WARNING),
             test.comment,
-            f"step {number} of {len(test.steps)}",
+            f"step {self._number} of {len(test.steps)}",
             fault.expected,
             fault.observed,
             clauses,

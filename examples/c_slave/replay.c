@@ -24,7 +24,7 @@ static int bench_write(void *context, uint16_t address, const uint8_t *data, siz
 
 static void bench_advance(void *context, uint32_t microseconds) { slave_advance(context, microseconds); }
 
-static int bench_local(void *context, const char *event) { return slave_local(context, event); }
+static int bench_local(void *context, const char *event) { return slave_local(context, event) == 0; }
 
 int main(void)
 {

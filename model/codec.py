@@ -111,11 +111,23 @@ class Codec:
         return self._bits[frame, field]
 
     def _bits_of(self, frame: str, field: str) -> int | None:
+        found = self._find(frame, field)
+        if found is None or found[1].width is None:
+            return None
+        return (1 << found[1].width) - 1 << found[0]
+
+    def start(self, frame: str, field: str) -> int | None:
+        """Give the byte of the message where a field begins; None: behind something open."""
+        found = self._find(frame, field)
+        return None if found is None else found[0] // 8
+
+    def _find(self, frame: str, field: str) -> tuple[int, _Part] | None:
+        """Give the bit where a field of the message begins, as far as all before it is fixed."""
         offset = 0
         for name in self.trail(frame):
             for part in self._parts[name]:
                 if part.name == field:
-                    return None if part.width is None else (1 << part.width) - 1 << offset
+                    return offset, part
                 if part.width is None and part is not self._parts[name][-1]:
                     return None
                 offset += part.width or 0

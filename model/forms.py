@@ -162,7 +162,9 @@ def _forms(
     yield Form(len(data), raw, tuple(free))
     for name, value in fields.items():
         if isinstance(value, Pattern) and value.lengths and len(set(value.lengths)) > 1:
-            start = len(model.codec.encode(frame, {**chosen, name: b""}))
+            start = model.codec.start(frame, name)
+            if start is None:
+                continue  # what is open before it says it
             lengths = (
                 model.codec.bits(frame, counted) or 0
                 for counted in model.codec.field_names(frame)
@@ -173,9 +175,15 @@ def _forms(
             unsaid = _unsaid(model, frame, longest, name, value)
             # what the encoder makes of the content is another for another length
             some = [_changed(model, frame, chosen, name, (b"", each * _SOME)) for each in _ENDS]
-            made = (some[0] | some[1]) & (1 << start * _BYTE) - 1
-            masks = tuple(mask for mask in (*free, *lengths, unsaid, made) if mask)
-            yield Form(len(most), int.from_bytes(most, "little"), masks, start)
+            # where there is little content there may be padding in its place
+            shortest = len(model.codec.encode(frame, {**chosen, name: b""}))
+            made = (some[0] | some[1]) & (1 << max(start, shortest) * _BYTE) - 1
+            if value is _ANY_BYTES:
+                made |= -1 << start * _BYTE
+            reach = (1 << len(most) * _BYTE) - 1
+            masks = tuple(m for mask in (*free, *lengths, unsaid, made) if (m := mask & reach))
+            least = max(1, start + value.lengths[0])
+            yield Form(len(most), int.from_bytes(most, "little"), masks, min(least, len(most)))
 
 
 def _of_bytes(model: Model, frame: str, name: str, value: Value) -> Value:

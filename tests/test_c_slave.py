@@ -7,10 +7,10 @@ import re
 import shutil
 import subprocess
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from c_device import SOURCES, TEXT, WHERE, sanitizes
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.devices import load
@@ -24,37 +24,12 @@ from ecatspec.model.compiled import Model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from ecatspec.conformance.verdict import Verdict
     from ecatspec.generators.case import Case
 
-SOURCES = Path(__file__).resolve().parent.parent / "examples" / "c_slave"
-TEXT = str(SOURCES / "slave.ecs")
 DEPTH = "quick"
-
-WHERE = {
-    "AL_CODE_FORGOTTEN": "al/",
-    "AL_ERROR_NOT_LATCHED": "al/",
-    "AL_UNKNOWN_STATE": "al/",
-    "AL_MAILBOX_UNCHECKED": "al/",
-    "MAILBOX_COUNTER_IGNORED": "mailbox/",
-    "MAILBOX_LENGTH_UNCHECKED": "sdo/malformed/",
-    "MAILBOX_COUNTER_STUCK": "mailbox/",
-    "REPEAT_UNACKNOWLEDGED": "mailbox/",
-    "SDO_SIZE_UNCHECKED": "sdo/download_",
-    "SDO_WRONG_ABORT": "sdo/no_subindex/",
-    "SDO_RANGE_ONE_SIDED": "sdo/range_",
-    "SDO_STATE_UNCHECKED": "sdo/upload_in_",
-    "SEGMENT_TOGGLE_UNCHECKED": "sdo/transfer/",
-    "SEGMENT_LAST_TOO_EARLY": "sdo/transfer/",
-    "SEGMENT_LAST_FORGOTTEN": "sdo/transfer/",
-    "WATCHDOG_IGNORED": "process_data/",
-    "OUTPUTS_IN_SAFEOP": "ds402/up_again/",
-    "PDO_LENGTH_UNCHECKED": "process_data/",
-    "RESET_BY_LEVEL": "ds402/reset_held/",
-    "QUICK_STOP_IGNORED": "ds402/shutdown/enable_operation/",
-}
-"""The cases of a quick run that show a fault, so that not all of them run for each."""
 
 COMMANDS = (0x00, 0x01, 0x10, 0x11, 0x21, 0x23, 0x40, 0x60, 0x70, 0x80, 0xFF)
 """Bytes that begin SDO requests."""
@@ -146,16 +121,6 @@ def slave(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The device; with a compiler that has sanitizers it ends at the first access out of bounds."""
     folder = tmp_path_factory.mktemp("c_slave")
     return build(folder, *(["sanitized"] if sanitizes(folder) else []))
-
-
-def sanitizes(folder: Path) -> bool:
-    """Tell whether the compiler can link sanitizers; some systems have none."""
-    compiler, source = shutil.which("cc"), folder / "empty.c"
-    if compiler is None:
-        return False
-    source.write_text("int main(void) { return 0; }\n")
-    command = [compiler, "-fsanitize=address,undefined", "-o", str(folder / "empty"), str(source)]
-    return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
 @cache

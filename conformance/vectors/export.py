@@ -20,6 +20,7 @@ from ecatspec.generators.case import (
     Case,
     Happen,
     ReadConfiguration,
+    Repeat,
     SetUpProcessData,
     WriteOutputs,
 )
@@ -165,11 +166,18 @@ class Export:
         every = list(all_cases(self._model, NO_LIMITS, self.wanted.depth))
         only = self.wanted.only
         chosen = [case for case in every if not only or case.layer in only]
+        return [*self._configuration(), *chosen]
+
+    def _configuration(self) -> Iterator[Case]:
         if has_process_data(self._model):
             way = (*way_to(self._model, "PREOP"), ReadConfiguration())
             title = "what is assigned and mapped after power-on"
-            chosen.insert(0, Case(CONFIGURATION, title, CONFIGURATION, way))
-        return chosen
+            yield Case(CONFIGURATION, title, CONFIGURATION, way)
+
+    def configure(self) -> None:
+        """Take for granted what a device has assigned and mapped, as the first test shows it."""
+        for case in self._configuration():
+            self.record(case)
 
     def _complete(self, suite: Complete) -> Iterator[tuple[str, Test]]:
         if self.wanted.only and suite.layer not in self.wanted.only:
@@ -193,6 +201,8 @@ class Export:
     def record(self, case: Case) -> Test | None:
         """Give the test that a case becomes; None: the virtual SubDevice comes to no rest in it."""
         requires = bool(self._objects) and _rests_on_configuration(case)
+        repeats = any(isinstance(stimulus, Repeat) for stimulus in case.stimuli)
+        self._recorder.acknowledges = repeats or case.layer == MAILBOX
         try:
             self._recorder.begin(dict(SHAPE), self._objects if requires else {})
             for stimulus in case.stimuli:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
 from ecatspec.conformance.session import NOTHING, Session
-from ecatspec.generators.case import Happen, Repeat
+from ecatspec.generators.case import Happen
 from ecatspec.generators.vectors import (
     Allowed,
     Cycle,
@@ -73,9 +73,11 @@ class Recorder(Session):
         """What was written while time passed; None: time does not pass."""
         self._waiting = False
         self._unread = False
-        self._repeats = False
-        """Whether a repeat was asked for: then the acknowledge bit tells something."""
+        self.acknowledges = False
+        """Whether what the device says of repeats is looked at too."""
         self._looks: list[Exchange] = []
+        self._since: tuple[Oracle, int] | None = None
+        """Before and when it was begun to wait in this step; None: it is told how long to wait."""
         self._full_before: Oracle | None = None
         self._told = 0
         self._states: dict[str, str] = {}
@@ -92,14 +94,12 @@ class Recorder(Session):
         self.steps = []
         self._draft = _Draft()
         self._told = 0
-        self._repeats = False
         self._states = {}
         super().begin(choices, objects)
         self._close()
 
     def apply(self, stimulus: Stimulus) -> None:
         """Give one stimulus, and keep the steps that it takes."""
-        self._repeats |= isinstance(stimulus, Repeat)
         if isinstance(stimulus, Happen):
             self._draft.given = Local(stimulus.event)
         super().apply(stimulus)
@@ -143,28 +143,37 @@ class Recorder(Session):
 
     def _settle(self, *, unread: bool = False) -> None:
         self._unread = unread
-        waited, began, before = self._draft.us, self.time, replace(self.oracle)
-        for tried in range(_TRIES):
-            while (until := self.oracle.busy_until(self.time)) > self.time:
-                self._wait(until - self.time)
-                if self.time > began + _LONGEST:
-                    raise RestlessError
-            self._looks = []
+        for _ in range(_TRIES):
+            self._rest()
             self._look(unread=unread)
-            if not tried and not waited:
-                self._draft.early = self._shows_early(before, began)
             if self.oracle.settled(self.time, unread=unread):
                 return
         raise RestlessError
 
-    def _shows_early(self, before: Oracle, time: int) -> bool:
+    def _rest(self) -> None:
+        """Wait until nothing is left that a device may be busy with."""
+        began = self.time
+        while (until := self.oracle.busy_until(self.time)) > self.time:
+            if self._draft.expect:
+                self._close()
+            if not self._draft.us:
+                self._since, self._looks = (replace(self.oracle), self.time), []
+            self._wait(until - self.time)
+            if self.time > began + _LONGEST:
+                raise RestlessError
+
+    def _full(self) -> bool:
+        self._rest()  # what follows a message may take its time
+        return super()._full()
+
+    def _shows_early(self, before: Oracle, time: int, cycle: Cycle | None) -> bool:
         """Tell whether a device that shows this at once has nothing left to do."""
         for exchange in self._looks:
             if before.observe(replace(exchange, time=time)) is not None:
                 return False
         if not before.settled(time, unread=self._unread):
             return False
-        timers = self._draft.cycle is None and any(
+        timers = cycle is None and any(
             pending.timer and not is_idle(self.model, candidate.state, pending.event)
             for candidate in (*before.candidates, *self.oracle.candidates)
             for pending in candidate.inbox
@@ -174,6 +183,7 @@ class Recorder(Session):
     def _close(self) -> None:
         """End the step that is being taken."""
         draft, self._draft = self._draft, _Draft()
+        since, self._since = self._since, None
         if draft == _Draft():
             return
         states = self._known_states()
@@ -183,7 +193,7 @@ class Recorder(Session):
             Step(
                 given=draft.given,
                 us=draft.us,
-                early=draft.early and draft.us > 0,
+                early=since is not None and self._shows_early(*since, draft.cycle),
                 cycle=draft.cycle,
                 expect=draft.expect,
                 state=changed,
@@ -218,7 +228,7 @@ class Recorder(Session):
         before = replace(self.oracle)
         super()._observe(exchange)
         self._looks.append(exchange)
-        if self._repeats and exchange.address == self.model.protocol.registers[_STATUS].address:
+        if self.acknowledges and exchange.address == self.model.protocol.registers[_STATUS].address:
             self._draft.expect.append(self._acknowledged(before, exchange))
         made = self._expected(before, exchange)
         if made.expected is not None:
@@ -526,6 +536,5 @@ class _Draft:
 
     given: Input | None = None
     us: int = 0
-    early: bool = False
     cycle: Cycle | None = None
     expect: list[Expected] = field(default_factory=list)

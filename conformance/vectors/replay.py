@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, assert_never
+from typing import TYPE_CHECKING, Final, Literal, assert_never
 
 from ecatspec.conformance.adapter import (
     AdapterError,
@@ -239,9 +239,7 @@ class Player:
             self._judge_bytes(expected, wanted, data)
             if not expected.anyOf:
                 continue  # whatever was there is taken away
-            new = before is None or counter != before or not counter
-            right = {"any": True, "new": new, "same": before in {None, counter}}
-            if not right[expected.counter]:
+            if not _counts(expected.counter, counter, before):
                 seen = f"counter {counter} after {before}"
                 raise _Fault("counter", (f"{expected.counter} counter",), seen)
             return
@@ -291,6 +289,15 @@ class Player:
 
     def _told(self, who: str, what: str) -> None:
         self._trace.append(TraceLine(self._time, who, what))
+
+
+def _counts(wanted: Literal["any", "new", "same"], counter: int, before: int | None) -> bool:
+    """Tell whether a counter may follow another: a device sends 0 always, or never."""
+    if before is None:
+        return True
+    if bool(counter) is not bool(before):
+        return False
+    return {"any": True, "new": counter != before or not counter, "same": counter == before}[wanted]
 
 
 def _number(data: bytes) -> int:

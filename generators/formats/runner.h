@@ -191,8 +191,10 @@ static int ecatspec_look_for_mail(struct ecatspec_play *play, const struct ecats
         if (!found && expected->otherwise == ECATSPEC_GOES_ON) continue; /* whatever it is, it is taken away */
         if (!found) return expected->otherwise;
         if (found->effect == ECATSPEC_ENDS) return ECATSPEC_ENDS;
+        if (before < 0) return ECATSPEC_GOES_ON;
+        if (!play->counter != !before) return ECATSPEC_WRONG; /* a device sends 0 always, or never */
         if (expected->counter == ECATSPEC_NEW && play->counter == before && before) return ECATSPEC_WRONG;
-        if (expected->counter == ECATSPEC_SAME && play->counter != before && before >= 0) return ECATSPEC_WRONG;
+        if (expected->counter == ECATSPEC_SAME && play->counter != before) return ECATSPEC_WRONG;
         return ECATSPEC_GOES_ON;
     }
     return ECATSPEC_GOES_ON;

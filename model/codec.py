@@ -133,6 +133,21 @@ class Codec:
                 offset += part.width or 0
         return None
 
+    def places(self, message: Message) -> Mapping[str, tuple[int, int]]:
+        """Give bit offset and width of every field of a decoded message, bodies among them."""
+        found: dict[str, tuple[int, int]] = {}
+        offset = width = 0
+        for name in message.trail:
+            for part in self._parts[name]:
+                value = message.fields[part.name]
+                length = len(value) * 8 if isinstance(value, bytes) else 0
+                width = length if part.width is None else part.width
+                found[part.name] = offset, width
+                offset += width
+            if name != message.frame:
+                offset -= width  # the layout inside begins where the body does
+        return found
+
     def size(self, frame: str) -> int:
         """Give the bytes of a layout of fixed widths."""
         return sum(part.width or 0 for part in self._parts[frame]) // 8

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _BYTE = 8
 """Numbers up to this many bits are said in decimal."""
+_ALL = 0xFF
+"""All bits of a byte."""
 _MANY = 24
 """Byte strings longer than this are not said in full."""
 _FIRST, _LAST = 8, 4
@@ -39,7 +41,7 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
             words = " or ".join(parts)
             return words if excluded is None else f"{words} but not {excluded}"
         case bytes():
-            return _bytes_words(value)
+            return bytes_words(value)
         case str():
             return value
     match kind:
@@ -59,11 +61,19 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
             return str(value)
 
 
-def _bytes_words(value: bytes) -> str:
-    if len(value) <= _MANY:
-        return value.hex(" ").upper() or "empty"
-    first, last = value[:_FIRST].hex(" ").upper(), value[-_LAST:].hex(" ").upper()
-    return f"{first} .. {last} ({len(value)} bytes)"
+def bytes_words(value: bytes, mask: bytes | None = None) -> str:
+    """Say bytes in hexadecimal, not all where they are many.
+
+    With a mask, `??` has no bit in it, and `40/6F` those of 6F.
+    """
+    sure = mask or bytes([_ALL]) * len(value)
+    said = [
+        f"{n:02X}" if known == _ALL else f"{n:02X}/{known:02X}" if known else "??"
+        for n, known in zip(value, sure, strict=True)
+    ]
+    if len(said) <= _MANY:
+        return " ".join(said) or "empty"
+    return f"{' '.join(said[:_FIRST])} .. {' '.join(said[-_LAST:])} ({len(said)} bytes)"
 
 
 def value_words(model: Model, frame: str, field: str, value: Value) -> str:

@@ -103,6 +103,22 @@ def test_every_frame_survives_the_round_trip(frame: str, data: st.DataObject) ->
         assert message.fields[name] == value
 
 
+@pytest.mark.parametrize("frame", LEAVES)
+@given(data=st.data())
+def test_every_field_is_at_its_place(frame: str, data: st.DataObject) -> None:
+    encoded = CODEC.encode(frame, filled(data, frame))
+    message = CODEC.decode(encoded, CODEC.trail(frame)[0])
+    assert message is not None
+    raw = int.from_bytes(encoded, "little")
+    for name, (low, width) in CODEC.places(message).items():
+        value, bits = message.fields[name], raw >> low & ((1 << width) - 1)
+        if isinstance(value, bytes):
+            assert bits.to_bytes(len(value), "little") == value
+        else:
+            assert isinstance(value, int)
+            assert bits == value & ((1 << width) - 1)
+
+
 IN_A_MAILBOX = [frame for frame in LEAVES if CODEC.trail(frame)[0] == "mailbox"]
 
 

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.generators.formats import c_format, json_format
+from ecatspec.generators.formats import (
+    c_format,
+    csv_format,
+    json_format,
+    markdown_format,
+    pcapng_format,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -34,5 +40,13 @@ FORMATS: Final[Mapping[str, Format]] = MappingProxyType(
     {
         "json": Format("everything, for programs", "json", json_format.write),
         "c": Format("a header with tables and a runner, for firmware tests", "h", c_format.write),
+        "pcapng": Format(
+            "requests and expected answers as frames, for Wireshark",
+            "pcapng",
+            pcapng_format.write,
+            text=False,
+        ),
+        "markdown": Format("everything in words, for people", "md", markdown_format.write),
+        "csv": Format("a row for each expectation, for tables", "csv", csv_format.write),
     }
 )

@@ -6,8 +6,10 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 
+from ecatspec.generators import vectors
 from ecatspec.model.compiled import Model
 from ecatspec.model.functions import PLAIN
 from ecatspec.spec.language.load import load_device, load_file
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 PAGE = (DOCS / "language.md").read_text(encoding="utf-8")
+
+
+VECTORS = (DOCS / "vectors.md").read_text(encoding="utf-8")
 
 
 def test_the_page_lists_exactly_the_functions_that_there_are() -> None:
@@ -58,3 +63,46 @@ def test_the_limits_that_the_page_names_exist(word: str) -> None:
     standard = load_device("standard")
     assert word in PAGE
     assert word in standard.parameters or word in standard.choices
+
+
+# --- test vectors ---------------------------------------------------------------------------------
+
+PARTS = [
+    each
+    for each in vars(vectors).values()
+    if isinstance(each, type)
+    and issubclass(each, msgspec.Struct)
+    and each.__module__ == vectors.__name__
+    and not each.__name__.startswith("_")
+    and each not in {vectors.Head, vectors.Area}
+]
+
+
+def rows_of(part: str) -> dict[str, str]:
+    """The keys that the page names in a part of a file, and what it says of their absence."""
+    start = "## The file" if part == "Vectors" else f"**{part}**"
+    _, found, rest = VECTORS.partition(f"\n{start}")
+    assert found
+    table = rest[rest.index("\n|") :].strip().split("\n\n")[0]
+    assert table.startswith("| key | type | absent | meaning |\n")
+    return dict(re.findall(r"^\| `(\w+)` \|.*?\| ([^|]*?) ?\|[^|]*\|$", table, re.MULTILINE))
+
+
+@pytest.mark.parametrize("part", PARTS, ids=lambda part: part.__name__)
+def test_the_page_lists_the_keys_of_a_file_in_their_order(part: type[msgspec.Struct]) -> None:
+    rows = rows_of(part.__name__)
+    fields = msgspec.structs.fields(part)
+    assert list(rows) == [field.encode_name for field in fields]
+    for field in fields:
+        assert bool(rows[field.encode_name]) != field.required, field.name
+
+
+def test_the_sample_is_a_test_as_a_file_has_it() -> None:
+    block = VECTORS.partition("## An example\n\n")[2].partition("\n## ")[0]
+    sample = re.sub(r"^ *//.*$", "", block, flags=re.MULTILINE)
+    test = msgspec.json.decode(sample, type=vectors.Test)
+    again = msgspec.json.decode(msgspec.json.encode(test))
+    assert again == msgspec.json.decode(sample)
+    assert [list(step) for step in again["steps"]] == [
+        list(step) for step in msgspec.json.decode(sample)["steps"]
+    ]

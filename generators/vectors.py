@@ -101,7 +101,7 @@ class Allowed(_Part, frozen=True):
 
 
 class Read(_Part, frozen=True, tag_field="kind", tag="read"):
-    """Memory that is read. Without any `anyOf` only the working counter counts."""
+    """Memory that is read. Bytes that are none of `anyOf` are `otherwise`."""
 
     address: Address
     length: Length

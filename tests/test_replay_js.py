@@ -218,6 +218,119 @@ def test_clauses_without_a_must_are_a_warning(tmp_path: Path) -> None:
     assert result.returncode == 0
 
 
+POST = """
+import json, sys
+queues = json.loads(sys.argv[1])
+for line in sys.stdin:
+    request, reply = json.loads(line), {"ok": True, "wkc": 1}
+    match request["op"]:
+        case "describe":
+            reply["description"] = {
+                "name": "post", "protocols": [], "virtual_time": False, "closed_dictionary": False,
+                "notes": [], "limits": {}, "without": [], "locals": []}
+        case "reset":
+            queue, writes, time = [], 0, 0
+        case "advance":
+            time += request["seconds"]
+        case "write":
+            writes += 1
+            reply["wkc"] = int(request["address"] != 4096 or time > 0.01)
+            if request["address"] == 0:
+                queue = list(queues[int(request["data"], 16)])
+        case "read":
+            seen = {2061: "08" if queue else "00", 100: f"{writes:02x}", 200: f"{time > 0.01:02x}"}
+            address, digits = request["address"], 2 * request["length"]
+            data = queue.pop(0) if address == 4224 else seen[address]
+            reply["data"] = data.ljust(digits, "0")
+    print(json.dumps(reply), flush=True)
+"""
+
+
+def message(counter: int, content: str) -> str:
+    return f"{len(content) // 2:02x}00000000{counter}3{content}"
+
+
+def mail(content: str, mask: str = "", **keys: object) -> dict[str, Any]:
+    """An expectation of a message with this content, whatever its length says."""
+    compared = "0000ffffff8f" + (mask or "f" * len(content))
+    allowed = {"value": message(0, content), "mask": compared}
+    if "atLeast" in keys:
+        allowed["atLeast"] = keys.pop("atLeast")  # type: ignore[assignment]
+    return {"kind": "mail", "anyOf": [allowed], **keys}
+
+
+def one_byte(address: int, *ways: dict[str, str]) -> dict[str, Any]:
+    return {"kind": "read", "address": address, "length": 1, "symbol": "it", "anyOf": list(ways)}
+
+
+LOOK = {"value": "01", "mask": "ff"}
+CYCLE = {"address": 50, "data": "00", "us": 3000}
+SEND = {"do": "send", "address": 4096, "data": "00", "symbol": "it"}
+POSTED: list[tuple[str, list[str], dict[str, Any]]] = [
+    ("passed", [message(1, "aabb")], {"expect": [mail("aabbcc", atLeast=8)]}),
+    ("failed", [message(1, "aabb")], {"expect": [mail("aabbcc", atLeast=9)]}),
+    ("failed", [message(1, "aabb")], {"expect": [mail("aacc", atLeast=7)]}),
+    ("failed", [message(1, "aa")], {"expect": [mail("aabb", "ff00")]}),
+    ("passed", [message(1, "aabb")], {"expect": [mail("aa")]}),
+    ("passed", [message(0, "aa")] * 2, {"expect": [mail("aa", counter="new")] * 2}),
+    ("failed", [message(1, "aa")] * 2, {"expect": [mail("aa", counter="new")] * 2}),
+    ("passed", [message(1, "aa")] * 2, {"expect": [mail("aa", counter="same")] * 2}),
+    ("failed", [message(n, "aa") for n in (1, 2)], {"expect": [mail("aa", counter="same")] * 2}),
+    ("passed", [message(1, "ee"), message(2, "aa")], {"expect": [mail("aa", counter="new")]}),
+    ("failed", [message(1, "ee"), message(1, "aa")], {"expect": [mail("aa", counter="new")]}),
+    ("failed", [message(1, "ee")], {"expect": [mail("aa")]}),
+    (
+        "passed",
+        [message(1, "aa"), message(2, "bb")],
+        {
+            "expect": [
+                {"kind": "mail", "anyOf": [], "none": "passes", "otherwise": "passes"},
+                {"kind": "full", "full": False},
+            ]
+        },
+    ),
+    (
+        "passed",
+        [],
+        {"us": 10_000, "cycle": CYCLE, "expect": [one_byte(100, LOOK | {"value": "05"})]},
+    ),
+    ("passed", [], {"in": SEND}),
+    (
+        "passed",
+        [],
+        {
+            "us": 20_000,
+            "early": True,
+            "expect": [one_byte(200, {"value": "00", "mask": "ff", "effect": "ends"}, LOOK)],
+        },
+    ),
+]
+
+
+def test_messages_counters_and_time_are_judged_by_the_page(tmp_path: Path) -> None:
+    made = some(1)
+    made["config"]["passOver"] = mail("ee")["anyOf"]
+    start = {"do": "write", "address": 0, "symbol": "which queue"}
+    tests = [
+        {
+            "tcId": number + 1,
+            "id": f"{number}/{outcome}",
+            "comment": "",
+            "steps": [{"in": start | {"data": f"{number:02x}"}}, step],
+        }
+        for number, (outcome, _, step) in enumerate(POSTED)
+    ]
+    made["testGroups"] = [{"type": "post", "tests": tests}]
+    path = written(tmp_path, counted(made))
+    command = [sys.executable, "-c", POST, json.dumps([queue for _, queue, _ in POSTED])]
+    result = replayed(path, *command)
+    found, counts = ours(path, command)
+    assert set(found) == {test["id"] for test in tests if str(test["id"]).endswith("failed")}
+    assert wrongs(result.stdout) == found
+    assert result.stdout.splitlines()[-1] == counts
+    assert "0 ended early" in counts
+
+
 # --- what is not tried ----------------------------------------------------------------------------
 
 

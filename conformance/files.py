@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import IO
 
 _READABLE: Final = 0o666
 """What files are by default, before the user's mask."""
@@ -19,10 +24,24 @@ def write_whole(path: Path, text: str) -> None:
         OSError: The file cannot be written; what was there before is still there.
 
     """
+    with whole(path) as file:
+        file.write(text.encode())
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[IO[bytes]]:
+    """Give a file to write to, which takes the place of the one before once all is written.
+
+    Raises:
+        OSError: The file cannot be written; what was there before is still there.
+
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is no file", str(path))
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            yield file
         mask = os.umask(0)  # it can only be read by setting it
         os.umask(mask)
         Path(name).chmod(_READABLE & ~mask)

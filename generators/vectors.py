@@ -15,6 +15,8 @@ from ecatspec.spec.language.ir import Level  # noqa: TC001  msgspec reads the an
 
 SCHEMA: Final = "ecatspec.vectors"
 SCHEMA_VERSION: Final = 1
+CONFIGURATION: Final = "configuration"
+"""The layer and the id of the test that shows what others take for granted."""
 
 _SPACE: Final = 1 << 16
 _LONGEST_HEX: Final = 2 * _SPACE

@@ -23,13 +23,13 @@ from ecatspec.conformance.devices import UserError, going, load
 from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.vectors import export as exporting
-from ecatspec.conformance.vectors.export import CONFIGURATION, OTHER_WAYS, Wanted, export
+from ecatspec.conformance.vectors.export import OTHER_WAYS, Wanted, export
 from ecatspec.conformance.vectors.replay import Player
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.formats import c_format
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.vectors import Full, Mail, Read, Vectors
+from ecatspec.generators.vectors import CONFIGURATION, Full, Mail, Read, Vectors
 from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import device_names, load_device

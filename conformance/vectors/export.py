@@ -29,6 +29,7 @@ from ecatspec.generators.finite_cover import complete_suites
 from ecatspec.generators.formats import FORMATS
 from ecatspec.generators.suite import all_cases
 from ecatspec.generators.vectors import (
+    CONFIGURATION,
     SCHEMA,
     SCHEMA_VERSION,
     Allowed,
@@ -59,8 +60,6 @@ if TYPE_CHECKING:
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Protocol
 
-CONFIGURATION: Final = "configuration"
-"""The layer and the name of the test that shows what others take for granted."""
 _LENGTH: Final = "length"
 _BYTE: Final = 8
 OTHER_WAYS: Final = "other_ways"

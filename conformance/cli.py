@@ -13,12 +13,13 @@ import sys
 import traceback
 from contextlib import contextmanager, suppress
 from io import TextIOWrapper
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
 import rich_click as click
 
 from ecatspec.conformance.version import version
 from ecatspec.generators.case import DEPTHS
+from ecatspec.generators.formats import FORMATS
 from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ WRONG_INPUT: Final = 2
 INTERRUPTED: Final = 130
 
 _PIPE_WIDTH: Final = 120
+_CLOSED: Final = "there is no standard output; leave it open or redirect it to a file"
+"""What is said to a caller who closed it."""
 _CHAPTER: Final = "markdown"
 """The form of `show` that is no drawing."""
 
@@ -49,6 +52,9 @@ EXAMPLES: Final = {
     "prove": "ecatspec prove kollmorgen-akd",
     "mutate": "ecatspec mutate kollmorgen-akd --own",
     "diff": "ecatspec diff kollmorgen-akd kollmorgen-s300",
+    "export": "ecatspec export kollmorgen-akd --format c -o vectors.h",
+    "replay": "ecatspec replay vectors.json --dut canopen",
+    "vectors": "ecatspec vectors lint vectors.json",
 }
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
@@ -323,19 +329,10 @@ def _trace(device: str, protocol: Protocol) -> Trace:
 def _run(protocol: Protocol, device: str, dut: str, options: Mapping[str, Any]) -> Result:
     """Run a device and keep the record of it."""
     from ecatspec.conformance import record
-    from ecatspec.conformance.adapter import AdapterError
     from ecatspec.conformance.runner import run_device
 
-    try:
-        with _progress() as progress:
-            result = run_device(device, dut, progress=progress, **options)
-    except ModuleNotFoundError as error:
-        if error.name != "z3":
-            raise
-        _refuse(str(error))
-    except AdapterError as error:
-        said = str(error)
-        _refuse(said if ";" in said else f"{said}; repair the set-up, see ecatspec run --help")
+    with _set_up("run"), _progress() as progress:
+        result = run_device(device, dut, progress=progress, **options)
     if options.get("replay"):
         return result  # one case says nothing about what a run exercises
     try:
@@ -486,7 +483,174 @@ def diff(
     return DOES_NOT_CONFORM if text.differs or text.failures else CONFORMS
 
 
+@cli.command(epilog=_example("export"))
+@click.argument("device")
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(tuple(FORMATS)),
+    required=True,
+    help="; ".join(f"{name}: {each.summary}" for name, each in FORMATS.items()) + ".",
+)
+@click.option("-o", "--output", metavar="FILE", help="Write here instead of standard output.")
+@click.option(
+    "--depth",
+    type=click.Choice(DEPTHS),
+    default="default",
+    show_default=True,
+    help="As for run.",
+)
+@click.option("--only", default="", metavar="LAYER,...", help="Only the tests of these layers.")
+@click.option(
+    "--choice",
+    "choices",
+    multiple=True,
+    metavar="NAME=WAY",
+    help="The device goes this way where its text leaves a choice open.",
+)
+@click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
+def export(
+    *,
+    device: str,
+    form: str,
+    output: str | None,
+    depth: str,
+    only: str,
+    choices: tuple[str, ...],
+    mailbox: str,
+    seed: int,
+) -> int:
+    """Write the tests of DEVICE (a name or a path to a .ecs file) as test vectors.
+
+    Who has no ecatspec can play them: a firmware test in C, another language, a person. The same
+    call gives the same bytes.
+    """
+    from ecatspec.conformance.vectors.export import Wanted
+    from ecatspec.conformance.vectors.export import export as write
+
+    layers = tuple(filter(None, only.split(",")))
+    wanted = Wanted(device, depth, layers, mailbox, seed, dict(map(_way, choices)))
+    with _set_up("export"), _output(output, text=FORMATS[form].text) as out:
+        with _progress() as progress:
+            made = write(wanted, form, out, progress)
+        out.flush()
+    said = f"{made.number} tests"
+    if made.restless:
+        cases = f"{len(made.restless)} cases ({', '.join(made.restless)})"
+        said += f"; the virtual SubDevice does not come to rest in {cases}, which have no test"
+    _warn(f"ecatspec: {said}")
+    return CONFORMS
+
+
+def _way(choice: str) -> tuple[str, str]:
+    name, equals, way = choice.partition("=")
+    if not (name and equals and way):
+        _refuse(f"--choice {choice!r} names no way; write --choice NAME=WAY")
+    return name, way
+
+
+@cli.command(epilog=_example("replay"))
+@click.argument("file")
+@click.option("--dut", default="model", show_default=True, help="How to reach the device.")
+@click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
+@click.option(
+    "--hang-timeout",
+    type=float,
+    callback=_seconds,
+    metavar="SECONDS",
+    help="Without an answer for so long the device counts as hung.",
+)
+def replay(*, file: str, dut: str, as_json: bool, hang_timeout: float) -> int:
+    """Play the test vectors of FILE (`export --format json` made it) on a device.
+
+    The verdicts are those of `run`. The device under test is named as there.
+    """
+    from pathlib import Path
+
+    from ecatspec.conformance.vectors.command import replay as play
+
+    with _set_up("replay"), _progress() as progress:
+        result, protocol = play(Path(file), dut, hang_timeout=hang_timeout, progress=progress)
+    return _report((result,), protocol, as_json=as_json)
+
+
+@cli.group(epilog=_example("vectors"))
+def vectors() -> None:
+    """Look after files of test vectors."""
+
+
+@vectors.command(epilog="Example: ecatspec vectors lint vectors.json")
+@click.argument("file")
+def lint(*, file: str) -> int:
+    """Check FILE: that all its parts fit together, and that `export` would write it so.
+
+    Exit status: 0 nothing is wrong, 1 something is, 2 it cannot be read.
+    """
+    from pathlib import Path
+
+    from ecatspec.conformance.vectors.lint import lint as check_file
+
+    with _progress() as progress:
+        found = check_file(Path(file), progress)
+    _print("".join(f"{_plain(line)}\n" for line in found.lines))
+    if found.count > len(found.lines):
+        _print(f"{found.name}: {found.count - len(found.lines)} more\n")
+    return DOES_NOT_CONFORM if found.count else CONFORMS
+
+
+@vectors.command(epilog="Example: ecatspec vectors schema > vectors.schema.json")
+def schema() -> int:
+    """Give the JSON Schema of test vectors."""
+    from ecatspec.generators.vectors import json_schema
+
+    _print(json.dumps(json_schema(), indent=2, sort_keys=True) + "\n")
+    return CONFORMS
+
+
 # --- output ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _output(path: str | None, *, text: bool) -> Iterator[IO[bytes]]:
+    """Give where to write to: standard output, or a file that is there whole or not at all."""
+    from pathlib import Path
+
+    from ecatspec.conformance.files import whole
+
+    if path is None:
+        if sys.stdout is None:
+            _refuse(_CLOSED)
+        if not text and sys.stdout.isatty():
+            _refuse("this format is no text for a terminal; write it to a file with -o FILE")
+        with _standard_output():
+            yield sys.stdout.buffer
+        return
+    if "\0" in path:
+        _refuse(f"{path!a} is no path; give that of a file")
+    try:
+        with whole(Path(path)) as file:
+            yield file
+    except OSError as error:
+        why = error.strerror or type(error).__name__
+        _refuse(f"{path!a} cannot be written ({why}); give another file")
+
+
+@contextmanager
+def _set_up(command: str) -> Iterator[None]:
+    """Say what is wrong with the set-up of a command."""
+    from ecatspec.conformance.adapter import AdapterError
+
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if error.name != "z3":
+            raise
+        _refuse(str(error))
+    except AdapterError as error:
+        said = str(error)
+        hint = f"repair the set-up, see ecatspec {command} --help"
+        _refuse(said if ";" in said else f"{said}; {hint}")
 
 
 def _report(results: Sequence[Result], protocol: Protocol, *, as_json: bool) -> int:
@@ -562,11 +726,18 @@ def _print_json(schema: str, data: dict[str, object]) -> None:
 
 def _print(text: str) -> None:
     """Write to stdout; a reader who has seen enough takes nothing from the exit status."""
-    if sys.stdout is None:  # the caller closed it
-        _refuse("there is no standard output; leave it open or redirect it to a file")
-    try:
+    if sys.stdout is None:
+        _refuse(_CLOSED)
+    with _standard_output():
         sys.stdout.write(text)
         sys.stdout.flush()
+
+
+@contextmanager
+def _standard_output() -> Iterator[None]:
+    """Say what is wrong with standard output while it is written to."""
+    try:
+        yield
     except BrokenPipeError:
         _silence()
     except OSError as error:
@@ -584,10 +755,13 @@ def _silence() -> None:
 
 def _warn(line: str) -> None:
     """Write one line to stderr, without signs that a terminal would obey."""
-    words = " ".join(line.split())
-    plain = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
     with suppress(BrokenPipeError):
-        print(plain, file=sys.stderr, flush=True)
+        print(_plain(line), file=sys.stderr, flush=True)
+
+
+def _plain(line: str) -> str:
+    words = " ".join(line.split())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
 
 
 def _refuse(message: str) -> NoReturn:

@@ -12,7 +12,7 @@ import sys
 import textwrap
 from dataclasses import dataclass, field, replace
 from importlib import resources
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 import pytest
@@ -23,9 +23,12 @@ from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import HANG_TIMEOUT
 from ecatspec.conformance.devices import machine_sheets, sheets
 from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
+from ecatspec.conformance.vectors import replay
+from ecatspec.conformance.vectors.record import Recorder, RestlessError
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
 from ecatspec.generators.case import DEPTHS
 from ecatspec.generators.complete.faults import Kills
+from ecatspec.generators.formats import FORMATS, Format
 from ecatspec.generators.mutants import Mutant, Operator
 from ecatspec.generators.suite import all_cases
 from ecatspec.spec.language.ir import Span
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ecatspec.generators.case import Case, Limits
+    from ecatspec.generators.vectors import Test
     from ecatspec.model.compiled import Model
 
     Call = Callable[..., tuple[int, str, str]]
@@ -147,7 +151,7 @@ def test_version(call: Call) -> None:
 
 
 def test_the_depths_are_those_of_the_runner() -> None:
-    for command in ("run", "mutate"):
+    for command in ("run", "mutate", "export"):
         (option,) = [p for p in cli.cli.commands[command].params if p.name == "depth"]
         assert isinstance(option.type, click.Choice)
         assert tuple(option.type.choices) == DEPTHS
@@ -209,6 +213,24 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
         (["run", DEVICE, "--dut", "model:nonsense=1"], "nonsense"),
         (["show", "a/b.ecs"], "No such file"),
         (["run", "a/b.ecs"], "No such file"),
+        (["export", DEVICE], "--format"),
+        (["export", DEVICE, "--format", "xml"], "xml"),
+        (["export", "kolmorgen-akd", "--format", "json"], "did you mean `kollmorgen-akd`?"),
+        (["export", DEVICE, "--format", "json", "--only", "al,sdoo"], "did you mean 'sdo'?"),
+        (["export", DEVICE, "--format", "json", "--choice", "bootstrap"], "NAME=WAY"),
+        (["export", DEVICE, "--format", "json", "--choice", "bootstap=x"], "did you mean 'boot"),
+        (["export", DEVICE, "--format", "json", "--choice", "bootstrap=x"], "way at bootstrap"),
+        (["export", DEVICE, "--format", "json", "-o", "a/b.json"], "No such file"),
+        (["export", DEVICE, "--format", "json", "-o", "."], "it is no file"),
+        (["export", DEVICE, "--format", "json", "-o", "a\0b"], "a\\x00b"),
+        (["replay"], "FILE"),
+        (["replay", "a/b.json"], "No such file"),
+        (["replay", "a\0b.json"], "a\\x00b.json"),
+        (["replay", "."], "Is a directory"),
+        (["vectors", "lint"], "FILE"),
+        (["vectors", "lint", "a/b.json"], "No such file"),
+        (["vectors", "lint", "pyproject.toml"], "no JSON"),
+        (["vectors", "lint", "/dev/null"], "the file is empty"),
         (["check", "a/b.ecs"], "No such file"),
         (["check", "a/b.txt"], "ends in .ecs"),
         (["check", "a\0.ecs"], "a\\x00.ecs"),
@@ -662,6 +684,148 @@ def test_an_analysis_as_json(call: Call, monkeypatch: pytest.MonkeyPatch) -> Non
             {**wrong, "fate": "unnoticed", "case": "", "clauses": []},
         ],
     }
+
+
+# --- test vectors ---------------------------------------------------------------------------------
+
+
+def exported(call: Call, file: Path, *arguments: str, layer: str = "coe") -> dict[str, Any]:
+    wanted = ("reference", "--depth", "quick", "--only", layer, "-o", str(file), *arguments)
+    status, out, err = call("export", "--format", "json", *wanted)
+    data = json.loads(file.read_bytes())
+    assert (status, out, err) == (0, "", f"ecatspec: {data['numberOfTests']} tests\n")
+    return dict(data)
+
+
+def test_vectors_are_exported_checked_and_replayed(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "vectors.json"
+    data = exported(call, file, "--mailbox", "256", "--choice", "bad_service=abort")
+    assert data["choices"]["bad_service"] == "abort"
+    assert (data["generator"]["mailbox"], data["config"]["mailboxIn"]["length"]) == ("256", 256)
+    assert [path.name for path in tmp_path.iterdir()] == ["vectors.json"]
+    assert call("vectors", "lint", str(file)) == (0, "", "")
+    assert call("replay", str(file))[0] == 1, "the virtual device goes another way"
+
+
+def test_the_same_goes_to_standard_output(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "vectors.json"
+    exported(call, file)
+    wanted = ("reference", "--depth", "quick", "--only", "coe", "--format", "json")
+    status, out, _ = call("export", *wanted)
+    assert (status, out.encode()) == (0, file.read_bytes())
+
+
+def test_a_replay_gives_the_report_of_a_run(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "vectors.json"
+    data = exported(call, file)
+    status, out, err = call("replay", str(file), "--json")
+    assert (status, err) == (0, "")
+    report = json.loads(out)
+    assert report["specification"] == {"name": "reference", "digest": data["spec"]["sha256"]}
+    (one,) = report["results"]
+    assert one["cases"]["pass"] == sum(one["cases"].values()) == data["numberOfTests"]
+    assert one["choices"] == data["choices"]
+    assert set(one["rules"]["covered"]) <= set(data["rules"])
+    assert one["notes"] == []
+    fault = "model:fault=service_unanswered"
+    status, out, _ = call("replay", str(file), "--dut", fault)
+    assert status == 1
+    assert "DOES NOT CONFORM" in out
+    assert "CoE service" in out
+    assert "sends coe" in out
+    assert all(f"{c} must" in out for c in load_faults()["service_unanswered"].clauses)
+
+
+def edited(file: Path, old: str, new: str) -> str:
+    text = file.read_text("utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), "utf-8")
+    return str(file)
+
+
+def test_a_replay_says_what_the_text_has_to_do_with_it(call: Call, tmp_path: Path) -> None:
+    file = tmp_path / "vectors.json"
+    data = exported(call, file)
+    path = edited(file, data["spec"]["sha256"], "0" * 64)
+    status, out, _ = call("replay", path, "--json")
+    assert status == 0
+    assert "is not the one" in json.loads(out)["results"][0]["notes"][0]
+    path = edited(file, '"name":"reference"', '"name":"my-own"')
+    assert_refused(call("replay", path), str(file), "'my-own'", "--dut")
+    assert_refused(call("replay", path, "--dut", "exec:/nonexistent"), "/nonexistent")
+    assert_refused(call("replay", path, "--dut", "modle"), "did you mean 'model'?")
+
+
+def test_a_file_with_a_fault_is_refused_before_anything_is_played(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "vectors.json"
+    data = exported(call, file)
+    monkeypatch.setattr(replay.Player, "judge", None)
+    last = data["testGroups"][-1]["tests"][-1]["id"]
+    path = edited(file, f'"id":"{last}"', f'"name":"{last}"')
+    assert_refused(call("replay", path), f"{file}: testGroups[0].tests[9]", "`name`")
+
+
+def test_an_interrupted_replay_shows_what_was_found(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "vectors.json"
+    exported(call, file)
+    judge = replay.Player.judge
+
+    def interrupted(player: replay.Player, test: Test) -> Verdict:
+        if test.tcId == 4:
+            raise KeyboardInterrupt
+        return judge(player, test)
+
+    monkeypatch.setattr(replay.Player, "judge", interrupted)
+    status, out, _ = call("replay", str(file), "--json")
+    assert status == 130
+    (one,) = json.loads(out)["results"]
+    assert (one["interrupted"], one["cases"]["pass"]) == (True, 3)
+
+
+def test_cases_without_a_test_are_named(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def restless(*_: object) -> None:
+        raise RestlessError
+
+    monkeypatch.setattr(Recorder, "apply", restless)
+    wanted = ("--depth", "quick", "--only", "coe", "-o", str(tmp_path / "x"))
+    status, _, err = call("export", "reference", "--format", "json", *wanted)
+    assert status == 0
+    assert err.startswith("ecatspec: 0 tests; the virtual SubDevice does not come to rest in 10 ")
+    assert "coe/unknown_service/0, " in err
+    assert err.count("\n") == 1
+
+
+def test_what_goes_wrong_leaves_the_file_before(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    file = tmp_path / "vectors.json"
+    file.write_text("before", "utf-8")
+    monkeypatch.setattr(Recorder, "begin", stopped)
+    wanted = ("--depth", "quick", "--only", "coe", "-o", str(file))
+    assert call("export", "reference", "--format", "json", *wanted)[0] == 130
+    assert [path.read_text("utf-8") for path in tmp_path.iterdir()] == ["before"]
+
+
+def test_no_binary_on_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    binary = Format("bytes", "bin", FORMATS["json"].write, text=False)
+    monkeypatch.setattr(cli, "FORMATS", {**FORMATS, "json": binary})
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert_refused(call("export", "reference", "--format", "json"), "-o FILE")
+
+
+def test_the_schema_of_vectors(call: Call) -> None:
+    status, out, _ = call("vectors", "schema")
+    shipped = resources.files("ecatspec.generators").joinpath("vectors.schema.json")
+    assert (status, out) == (0, shipped.read_text("utf-8"))
 
 
 # --- as a process ---------------------------------------------------------------------------------

@@ -535,11 +535,11 @@ def export(
         with _progress() as progress:
             made = write(wanted, form, out, progress)
         out.flush()
-    said = f"{made.number} tests"
-    if made.restless:
-        cases = f"{len(made.restless)} cases ({', '.join(made.restless)})"
-        said += f"; the virtual SubDevice does not come to rest in {cases}, which have no test"
-    _warn(f"ecatspec: {said}")
+        said = f"{made.number} tests"
+        if made.restless:
+            cases = f"{len(made.restless)} cases ({', '.join(made.restless)})"
+            said += f"; the virtual SubDevice does not come to rest in {cases}, which have no test"
+        _warn(f"ecatspec: {said}")
     return CONFORMS
 
 

@@ -855,7 +855,14 @@ def test_a_pipe_gets_no_escape_codes() -> None:
         assert "\x1b" not in done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("arguments", [["show", DEVICE], ["check", "--json", DEVICE]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["show", DEVICE],
+        ["check", "--json", DEVICE],
+        ["export", "reference", "--format", "c", "--depth", "quick", "--only", "coe"],
+    ],
+)
 def test_a_reader_who_goes_away_is_no_error(arguments: list[str]) -> None:
     reader, writer = os.pipe()
     os.close(reader)

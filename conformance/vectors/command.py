@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapters import FACTORIES, HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, load
@@ -13,21 +13,16 @@ from ecatspec.conformance.vectors.files import Reading, opened
 from ecatspec.conformance.vectors.replay import Player
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
 from ecatspec.generators.families import NOTES
-from ecatspec.model.compiled import Model
-from ecatspec.model.words import message_words
+from ecatspec.generators.words_of import words_of
 from ecatspec.spec.language.ir import Clause, Level, Pin, Protocol
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.conformance.runner import Progress
     from ecatspec.generators.vectors import Guarantee, Head, Test
-
-_ANY: Final = frozenset({"bytes", "nothing"})
-"""The names of messages that are described by no layout, or that are not to come."""
 
 
 @dataclass(slots=True)
@@ -54,6 +49,14 @@ class _Played:
         self.rules |= rules
         flag = next((flag for flag in test.flags if flag in NOTES), "")
         self.verdicts.append(replace(verdict, flag=flag, rules=tuple(sorted(rules))))
+
+    def shows(self) -> bool:
+        """Tell whether a verdict rests on more than what a device did not do."""
+        return any(
+            verdict.outcome is not Outcome.SKIPPED
+            and not (verdict.outcome is Outcome.PASS and verdict.reason)
+            for verdict in self.verdicts
+        )
 
     def promises(self, guarantee: Guarantee) -> str:
         """Say what a complete suite is worth for the device."""
@@ -96,10 +99,13 @@ def replay(
         played = _Played()
         try:
             description = adapter.describe()
-            player = Player(head, adapter, description, words(head))
+            player = Player(head, adapter, description, words_of(head).say)
             played.play(player, reading, progress)
         finally:
             adapter.close()
+    if not played.interrupted and not played.shows():
+        what = f"no test of {path} came to its end on {description.name}"
+        raise UserError(f"{what}: it does not answer, or goes other ways; pin them by --choice")
     cited = {clause for rule in played.rules for clause in head.rules.get(rule, [])}
     result = Result(
         head.spec.name,
@@ -116,23 +122,6 @@ def replay(
         tuple(map(played.promises, head.guarantee)),
     )
     return result, _specification(head)
-
-
-def words(head: Head) -> Callable[[str, bytes], str]:
-    """Give what says bytes by the name of what they are: messages in words, all else as it is."""
-    model = Model(load_standard())
-    length = head.config.mailboxLength
-
-    def say(symbol: str, data: bytes) -> str:
-        if symbol in _ANY or symbol in model.protocol.frames:
-            announced = data[length.address : length.address + length.length]
-            size = head.config.mailboxHead + int.from_bytes(announced, "little")
-            message = model.decode(data.ljust(min(size, head.config.mailboxOut.length), b"\0"))
-            if message is not None:
-                return message_words(model, message)
-        return f"{symbol} {data.hex() or 'empty'}"
-
-    return say
 
 
 def _notes(head: Head, dut: str, path: Path) -> tuple[str, ...]:

@@ -68,9 +68,9 @@ class Player:
 
     def judge(self, test: Test) -> Verdict:
         """Play one test from power-on."""
-        if reason := self._untried(test):
-            return Verdict(test.id, Outcome.SKIPPED, test.comment, reason)
-        verdict = self._judge(test)
+        reason = self._untried(test)
+        skipped = Verdict(test.id, Outcome.SKIPPED, test.comment, reason)
+        verdict = skipped if reason else self._judge(test)
         if self.configured is None:
             self.configured = verdict.outcome is Outcome.PASS and not verdict.reason
         return verdict
@@ -152,10 +152,10 @@ class Player:
                 self._told("MainDevice", f"writes {self.say(given.symbol, data)}")
                 counter = min(1, self.adapter.write(given.address, data))
                 if counter != given.counter:
-                    seen = f"working counter {counter}"
-                    self._allow(
-                        given.otherwise, given.symbol, (f"working counter {given.counter}",), seen
-                    )
+                    if given.otherwise is None:
+                        wanted, seen = (f"working counter {n}" for n in (given.counter, counter))
+                        raise _Fault(given.symbol, (wanted,), seen)
+                    self._allow(given.otherwise)
             case Send():
                 self._send(given)
             case Local():
@@ -209,34 +209,38 @@ class Player:
         match expected:
             case Read():
                 counter, data = self.adapter.read(expected.address, expected.length)
-                wanted = self._words(expected)
-                if not counter:
-                    self._allow(expected.refused, expected.symbol, wanted, "working counter 0")
+                if counter:
+                    self._judge_bytes(expected, data)
+                elif expected.refused is None:
+                    raise _Fault(expected.symbol, self._words(expected), "working counter 0")
                 else:
-                    self._judge_bytes(expected, wanted, data)
+                    self._allow(expected.refused)
             case Mail():
                 self._look_for_mail(expected)
             case Full(full, otherwise):
                 seen = self._is_full()
-                if seen != full:
+                if seen != full and otherwise is None:
                     words = {True: "mailbox full", False: "mailbox empty"}
-                    self._allow(otherwise, "reply", (words[full],), words[seen])
+                    raise _Fault("reply", (words[full],), words[seen])
+                self._allow("passes" if seen == full else otherwise)
             case _:
                 assert_never(expected)
 
     def _look_for_mail(self, expected: Mail) -> None:
-        wanted = self._words(expected) + (("no reply",) if expected.none else ())
         for _ in range(_FLOOD):
             data = self._fetch()
             if data is None:
-                self._allow(expected.none or expected.otherwise, "reply", wanted, "no reply")
+                effect = expected.none or expected.otherwise
+                if effect is None:
+                    raise _Fault("reply", self._words(expected), "no reply")
+                self._allow(effect)
                 return
             asked = _found(expected.anyOf, data) is not None
             counter, before = self._counter_of(data), self._counter
             self._counter = counter
             if not asked and _found(self.head.config.passOver, data) is not None:
                 continue
-            self._judge_bytes(expected, wanted, data)
+            self._judge_bytes(expected, data)
             if not expected.anyOf:
                 continue  # whatever was there is taken away
             if not _counts(expected.counter, counter, before):
@@ -244,25 +248,22 @@ class Player:
                 raise _Fault("counter", (f"{expected.counter} counter",), seen)
             return
 
-    def _judge_bytes(self, expected: Read | Mail, wanted: tuple[str, ...], data: bytes) -> None:
+    def _judge_bytes(self, expected: Read | Mail, data: bytes) -> None:
         found = _found(expected.anyOf, data)
-        if found is None:
-            words = self.say(expected.symbol, data)
-            self._allow(expected.otherwise, expected.symbol, wanted, words)
-        else:
-            self._allow(found.effect, expected.symbol, wanted, "")
-
-    def _allow(
-        self, effect: Effect | None, symbol: str, expected: tuple[str, ...], observed: str
-    ) -> None:
+        effect = expected.otherwise if found is None else found.effect
         if effect is None:
-            raise _Fault(symbol, expected, observed)
+            seen = self.say(expected.symbol, data)
+            raise _Fault(expected.symbol, self._words(expected), seen)
+        self._allow(effect)
+
+    def _allow(self, effect: Effect | None) -> None:
         if effect == "ends":
             raise _End
 
     def _words(self, expected: Read | Mail) -> tuple[str, ...]:
         every = (self.say(expected.symbol, bytes.fromhex(a.value)) for a in expected.anyOf)
-        return tuple(dict.fromkeys(every))
+        nothing = ("no reply",) if isinstance(expected, Mail) and expected.none else ()
+        return (*dict.fromkeys(every), *nothing)
 
     def _fetch(self) -> bytes | None:
         if not self._is_full():

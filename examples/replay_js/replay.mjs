@@ -162,9 +162,10 @@ class Player {
       if (!find(anyOf, data) && find(this.config.passOver ?? [], data)) continue;
       this.compare(anyOf, data, symbol, otherwise);
       if (!anyOf.length) continue; // whatever was there is taken away
-      const same = before !== null && this.counter === before;
-      const right = { any: true, new: !same || this.counter === 0, same: same || before === null };
-      if (!right[rule]) take(undefined, `a ${rule} counter`, `counter ${this.counter} after ${before}`);
+      const same = this.counter === before;
+      const mixed = (this.counter === 0) !== (before === 0);
+      const right = { any: true, new: !same || this.counter === 0, same };
+      if (before !== null && (mixed || !right[rule])) take(undefined, `a ${rule} counter`, `counter ${this.counter} after ${before}`);
       return;
     }
   }

@@ -188,9 +188,9 @@ static int ecatspec_look_for_mail(struct ecatspec_play *play, const struct ecats
                               & ECATSPEC_COUNTER_MASK);
         found = ecatspec_find(first, expected->count, ecatspec_seen, length);
         if (!found && ecatspec_find(ecatspec_pass_over, ECATSPEC_PASS_OVER, ecatspec_seen, length)) continue;
-        if (!found && expected->otherwise == ECATSPEC_GOES_ON) continue; /* whatever it is, it is taken away */
-        if (!found) return expected->otherwise;
-        if (found->effect == ECATSPEC_ENDS) return ECATSPEC_ENDS;
+        if (!found && expected->otherwise != ECATSPEC_GOES_ON) return expected->otherwise;
+        if (found && found->effect == ECATSPEC_ENDS) return ECATSPEC_ENDS;
+        if (!expected->count) continue; /* whatever it is, it is taken away */
         if (before < 0) return ECATSPEC_GOES_ON;
         if (!play->counter != !before) return ECATSPEC_WRONG; /* a device sends 0 always, or never */
         if (expected->counter == ECATSPEC_NEW && play->counter == before && before) return ECATSPEC_WRONG;

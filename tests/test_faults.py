@@ -142,7 +142,9 @@ def test_a_run_and_its_vectors_find_the_fault(name: str) -> None:
                 other.add(verdict.clauses)
         tried.append(case)
         if found:
-            seen = next((c for c in tried if blamed_by_vectors(made.ground, name, c)), None)
+            seen = next(
+                (c for c in reversed(tried) if blamed_by_vectors(made.ground, name, c)), None
+            )
             if seen is not None:
                 return
             tried.clear()

@@ -18,6 +18,7 @@ from ecatspec.model.meaning import Meaning
 from ecatspec.model.moments import ANY, Anything, Content, Moment
 from ecatspec.model.terms import Answer, Solver, all_of, any_of, equal, negated
 from ecatspec.spec.language.ir import (
+    AnyValue,
     Bool,
     Conditional,
     Expression,
@@ -102,7 +103,7 @@ class Equivalents:
                         continue
                     enabled = self._enabled(row, moment)
                     if (machine, row.name) not in self._live:
-                        if not self._can(enabled):
+                        if not self._can(enabled, *self._given_where((machine, name))):
                             continue
                         self._live[machine, row.name] = row
                         if row.target is not None:
@@ -227,6 +228,39 @@ class Equivalents:
             for other, resting in self._resting.items()
         )
 
+    def _given_where(self, target: Target) -> tuple[Term, ...]:
+        """Give what is known when an input comes that rules give: one of these has just fired.
+
+        Only what a rule does not change itself, and only of an event that comes before all else.
+        """
+        event = ".".join(target)
+        givers = [(name, rule) for (name, _), rule in self._live.items() if event in _given(rule)]
+        if (
+            not givers
+            or self._comes_by_itself(target)
+            or not all(_gives_first(rule, event) for _, rule in givers)
+        ):
+            return ()
+        return (any_of(self._fired(name, rule, event) for name, rule in givers),)
+
+    def _fired(self, machine: str, rule: Rule, event: str) -> Term:
+        """Give what holds after a rule has fired, of what it leaves as it was."""
+        slots = {_slot(update, machine) for update in rule.updates}
+        slots |= set() if rule.target is None else {f"{machine}.state"}
+        key = f"{machine}.{rule.name} before {event}"
+        past = {slot: self._meaning.symbol(f"{slot} @{key}", slot) for slot in slots}
+        scope = Scope(machine, rule.input)
+        return self._enabled(rule, Moment(self._world.having(past), scope, key, {}))
+
+    def _comes_by_itself(self, target: Target) -> bool:
+        """Tell whether an input may come without a rule that gives it at once."""
+        machine, name = target
+        source = next(i for i in self._built.machines[machine].inputs if i.name == name)
+        event, fetched = ".".join(target), self._meaning.model.fetched
+        later = any(event == late.target for rule in self._live.values() for late in rule.laters)
+        raised = event in self._raisable or target == (fetched.machine, fetched.input)
+        return source.kind not in _INSIDE or later or raised
+
     def _state(self, machine: str) -> Term:
         state = self._world.get(f"{machine}.state")
         assert not isinstance(state, Content | Anything)
@@ -323,7 +357,7 @@ class Equivalents:
             before.append(negated(here))
         ways.append((None, all_of(before)))
         known = [*right, (None, all_of(negated(here) for _, here in right))]
-        first = self._before(target)
+        first = (*self._before(target), *self._given_where(target))
         return not any(
             self._can(*first, here, there, self._unlike_effects(one, other, moment))
             for one, here in known
@@ -385,7 +419,9 @@ class Equivalents:
         for update in _updates(row):
             slot = _slot(update, moment.scope.machine or "")
             kind = self._meaning.kinds[slot]
-            changes[slot] = self._meaning.value(update.value, moment, kind)
+            meant = self._meaning.value(_taken(update.value), moment, kind)
+            open_ = isinstance(update.value, AnyValue)
+            changes[slot] = ANY if open_ and isinstance(meant, Content) else meant
         return changes
 
 
@@ -398,6 +434,17 @@ def _alike(one: Row | None, other: Row | None, slot: str) -> bool:
 
 def _updates(row: Row | None) -> tuple[Update, ...]:
     return row.updates if isinstance(row, Rule) else ()
+
+
+def _taken(value: Expression) -> Expression:
+    """Give what the device takes for a number where the texts leave it open."""
+    return value.preferred if isinstance(value, AnyValue) and value.preferred else value
+
+
+def _gives_first(rule: Rule, event: str) -> bool:
+    """Tell whether a rule gives an event before anything else happens."""
+    alone = rule.after is None and not rule.stores and rule.take is None
+    return alone and bool(rule.gives) and rule.gives[0].target == event
 
 
 def _slot(update: Update, machine: str) -> str:

@@ -612,6 +612,18 @@ IN_VAIN: Final[Mapping[str, Mistake]] = {
         "not reset or cause",
         "cause",
     ),
+    "what gives the event fires in OP only": (
+        "al.watchdog_in_safeop",
+        Operator.WRONG_TARGET,
+        "stays",
+        "OP",
+    ),
+    "what is left open stays as it is": (
+        "ds402.mode_not_taken",
+        EARLY,
+        "not mode_offered and not mode_overruled",
+        "not mode_offered",
+    ),
 }
 """Mistakes of the drive that are none, and why."""
 REAL: Final[tuple[Mistake, ...]] = (
@@ -625,6 +637,8 @@ REAL: Final[tuple[Mistake, ...]] = (
     ("mailbox.started", SILENT, "give sdo.start"),
     ("sdo.download_begun", DROPPED, "expected_toggle = false"),
     ("sdo.upload_expedited", SILENT, "send sdo_upload_expedited"),
+    ("al.watchdog_in_op", Operator.WRONG_TARGET, "SAFEOP", "stays"),
+    ("ds402.shutdown_2", EARLY, "shutdown_commanded and power", "power"),
 )
 
 

@@ -15,6 +15,7 @@ from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
+    Hurry,
     Probe,
     SetUpProcessData,
     Stimulus,
@@ -92,6 +93,7 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
     yield from _resets(model, shortest)
     yield from _early(model)
     yield from _unwatched(model)
+    yield from _hurried(model, shortest)
 
 
 def commands(model: Model) -> dict[str, int]:
@@ -270,6 +272,19 @@ def _early(model: Model) -> Iterator[Case]:
         first = _set(model, control, known["shutdown"])
         up = way_to(model, "SAFEOP")[len(way_to(model, "PREOP")) :]
         yield _in(model, "early/by_sdo", (first, *up, upload(*status)), "PREOP")
+
+
+def _hurried(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield commands while the drive stops, and a fault while it tests itself."""
+    known = commands(model)
+    for name in ("enable_operation", "disable_voltage"):
+        if _ENABLED in ways:
+            stopping = (*_of(ways[_ENABLED]), Hurry(), WriteOutputs({CONTROL: known["quick_stop"]}))
+            done = (*stopping, WriteOutputs({CONTROL: known[name]}))
+            yield _in(model, f"while_stopping/{name}", done)
+    op = request(model.row("al_state", "OP"))
+    tested = (WriteOutputs(), Hurry(), op, Happen("ds402.fault"))
+    yield _in(model, "while_testing/fault", tested, "SAFEOP")
 
 
 def _unwatched(model: Model) -> Iterator[Case]:

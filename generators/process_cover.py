@@ -130,6 +130,9 @@ def _watchdog(model: Model) -> Iterator[Case]:
         done = (register, WriteOutputs(), StopOutputs(), Wait(patience))
         yield _case(model, what, done, "OP")
     yield from _longest_watchdog(model)
+    untriggered = SetUpProcessData({_OUTPUTS: {"watchdog_trigger": 0}})
+    up = (untriggered, _to(model, "SAFEOP"), WriteOutputs(), op, *expired)
+    yield _case(model, "watchdog_not_triggered", (*up, WriteOutputs()), "PREOP")
 
 
 def _longest_watchdog(model: Model) -> Iterator[Case]:

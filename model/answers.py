@@ -174,6 +174,8 @@ class Answers:
                 if not self._abstract and isinstance(values[2], Content):
                     number = self._number(meaning, values[2], f"number({label})")
                     self._ranges(values, number, answer, two, three)
+            case "pdo_bits":
+                holds(any_of((also("is_mapping", 1), equal(answer, 0))))
             case "number_of":
                 match values:
                     case (int(index), int(subindex)):

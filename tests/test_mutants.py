@@ -618,6 +618,12 @@ IN_VAIN: Final[Mapping[str, Mistake]] = {
         "stays",
         "OP",
     ),
+    "nothing but a PDO has bits": (
+        f"{DEFINE}too_many_bits",
+        EARLY,
+        "is_mapping(index) and subindex == 0 and",
+        "subindex == 0 and pdo_bits(index, number(value)) > pdo_capacity * 8",
+    ),
     "what is left open stays as it is": (
         "ds402.mode_not_taken",
         EARLY,
@@ -638,6 +644,12 @@ REAL: Final[tuple[Mistake, ...]] = (
     ("sdo.download_begun", DROPPED, "expected_toggle = false"),
     ("sdo.upload_expedited", SILENT, "send sdo_upload_expedited"),
     ("al.watchdog_in_op", Operator.WRONG_TARGET, "SAFEOP", "stays"),
+    (
+        f"{DEFINE}too_many_bits",
+        EARLY,
+        "is_mapping(index) and subindex == 0 and",
+        "is_mapping(index) and pdo_bits(index, number(value)) > pdo_capacity * 8",
+    ),
     ("ds402.shutdown_2", EARLY, "shutdown_commanded and power", "power"),
 )
 
@@ -710,6 +722,88 @@ MISSING: Final[Mapping[str, tuple[str, Mistake]]] = {
         ("sdo_information.description_goes_on", TARGET, "TELLING", "stays"),
     ),
     "drive: ds402/early/": (EDGES, ("ds402.row_1", TARGET, "SWITCH_ON_DISABLED", "stays")),
+    "drive: ds402/while_stopping/": (
+        DRIVE,
+        (
+            "ds402.enable_operation_16",
+            EARLY,
+            "enable_commanded and quick_stop_stays",
+            "enable_commanded",
+        ),
+    ),
+    "drive: ds402/while_testing/": (
+        DRIVE,
+        ("ds402.initialised_before", TARGET, "stays", "NOT_READY"),
+    ),
+    "drive: ds402/unwatched/again": (
+        DRIVE,
+        ("process_data.outputs_taken_unwatched", DROPPED, "image = image"),
+    ),
+    "drive: ds402/disabled/": (
+        DRIVE,
+        ("al.process_data_taken_away", SILENT, "give ds402.disconnected"),
+    ),
+    "drive: ds402/mode_mapped/": (
+        DRIVE,
+        (
+            f"{DEFINE}mode_overruled",
+            EARLY,
+            "al.state == OP and not cyclic",
+            "not cyclic and mapped(0x1C12, 0x6060, 0)",
+        ),
+    ),
+    "drive: ds402/quick_stop_code_8/stopped": (
+        DRIVE,
+        ("ds402.stopped_and_stays", TARGET, "stays", "FAULT_REACTION_ACTIVE"),
+    ),
+    "process: process_data/disabled_both": (
+        DRIVE,
+        (
+            "al.process_data_taken_away",
+            Operator.WRONG_VALUE,
+            "code = one of { 0x0017, 0x001C, 0x001D, 0x001E }",
+            "al_status_code.no_error",
+        ),
+    ),
+    "process: process_data/longest_watchdog": (
+        DRIVE,
+        (f"{DEFINE}watchdog_time", Operator.OFF_BY_ONE, "25", "24"),
+    ),
+    "process: process_data/watchdog_not_triggered": (
+        DRIVE,
+        (
+            f"{DEFINE}watchdog_on",
+            EARLY,
+            "sync_manager_2.watchdog_trigger",
+            "watchdog_process_data.time > 0",
+        ),
+    ),
+    "process: process_data/watchdog_off": (
+        DRIVE,
+        (
+            "process_data.expired_in_op",
+            EARLY,
+            "al.state == OP and watchdog_on",
+            "al.state == OP",
+        ),
+    ),
+    "configuration: sdo/configuration/all_counted/1C12": (
+        DRIVE,
+        (
+            f"{DEFINE}entries_impossible",
+            EARLY,
+            "is_assignment(index) or is_mapping(index)",
+            "is_mapping(index)",
+        ),
+    ),
+    "configuration: sdo/configuration/map_as_much_as_it_holds/": (
+        DRIVE,
+        (f"{DEFINE}too_many_bits", Operator.OFF_BY_ONE, "8", "7"),
+    ),
+    "configuration: sdo/configuration/map_too_much/": (
+        DRIVE,
+        (f"{DEFINE}too_many_bits", Operator.OFF_BY_ONE, "8", "9"),
+    ),
 }
 """By a generator and the names of its cases: a device, and a mistake in it that they find."""
 

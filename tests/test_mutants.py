@@ -389,13 +389,13 @@ def test_mistakes_in_the_same_words_say_which_one_they_are() -> None:
 
 
 NUMBERS = {
-    Operator.NEGATED: 216,
-    Operator.UNCHECKED: 431,
+    Operator.NEGATED: 217,
+    Operator.UNCHECKED: 434,
     Operator.NARROWED: 33,
     Operator.OFF_BY_ONE: 164,
-    Operator.WRONG_VALUE: 348,
-    Operator.WRONG_TARGET: 264,
-    Operator.UPDATE_DROPPED: 139,
+    Operator.WRONG_VALUE: 346,
+    Operator.WRONG_TARGET: 265,
+    Operator.UPDATE_DROPPED: 137,
     Operator.OUTPUT_DROPPED: 124,
 }
 

@@ -242,8 +242,11 @@ class _Ground:
                 return found
         if differing:
             return Fated(mutant, Fate.TOLERATED, differing[0].case.name)
-        same = self._equal(mutant, heard.device)
-        return Fated(mutant, Fate.EQUIVALENT if same else Fate.UNNOTICED)
+        if self._equal(mutant, heard.device):
+            return Fated(mutant, Fate.EQUIVALENT)
+        if self.equivalents is not None and self.equivalents.left_open(mutant):
+            return Fated(mutant, Fate.TOLERATED)
+        return Fated(mutant, Fate.UNNOTICED)
 
     def _judged(self, mutant: Mutant, runner: Runner, shown: _Shown) -> Fated | None:
         try:

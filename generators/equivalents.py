@@ -8,18 +8,23 @@ may be anything in it, so that it errs on one side only: it misses mutants that 
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 from ecatspec.generators.mutants import DEFINE, SHOWN, definitions_in
 from ecatspec.model.chains import Chains
 from ecatspec.model.compiled import MAILBOX, rows_of
+from ecatspec.model.entered import with_guesses
 from ecatspec.model.interpreter import DELIVER
 from ecatspec.model.meaning import Meaning
 from ecatspec.model.moments import ANY, Anything, Content, Moment
+from ecatspec.model.proofs import Prover
+from ecatspec.model.state import RuleName
 from ecatspec.model.terms import Answer, Solver, all_of, any_of, equal, negated
 from ecatspec.spec.language.ir import (
     AnyValue,
     Bool,
+    Call,
     Conditional,
     Expression,
     Gap,
@@ -31,10 +36,10 @@ from ecatspec.spec.language.ir import (
 from ecatspec.spec.language.scope import Scope, UnresolvedName, nodes_in
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterator
 
     from ecatspec.generators.mutants import Mutant
-    from ecatspec.model.moments import Meant
+    from ecatspec.model.moments import Meant, Meeting, World
     from ecatspec.model.terms import Term
     from ecatspec.spec.language.ir import Machine, Protocol, Update
 
@@ -43,6 +48,8 @@ Target = tuple[str, str]
 """A machine and an input of it."""
 _INSIDE: Final = frozenset({"own", "local", "event"})
 """Inputs that come from within the device only, from rules or by themselves."""
+_UNSURE: Final = frozenset({"can_hold", "holds"})
+"""Functions to which even a device has no answer of its own, for an empty place in a mapping."""
 _OUTSIDE: Final = frozenset({"frame", "local", "write"})
 """Inputs that come when all that was given before is done."""
 
@@ -59,6 +66,8 @@ class Equivalents:
         self._solver = Solver(self._meaning.symbols)
         self._world = self._meaning.world()
         self._raisable = frozenset(raisable)
+        self._gaps_differ = True
+        """Whether it matters what a device does where the texts have a gap."""
         self._rows: dict[Target, tuple[Row, ...]] = {}
         for machine in built.machines.values():
             for source in machine.inputs:
@@ -86,6 +95,14 @@ class Equivalents:
         except UnresolvedName:  # it means something only where nobody looks here
             return False
 
+    def left_open(self, mutant: Mutant) -> bool:
+        """Tell whether a mutant is proved to do what the device does but where the texts end."""
+        self._gaps_differ = False
+        try:
+            return self.proved(mutant)
+        finally:
+            self._gaps_differ = True
+
     # --- what can happen --------------------------------------------------------------------------
 
     def _explore(self) -> None:
@@ -103,7 +120,7 @@ class Equivalents:
                         continue
                     enabled = self._enabled(row, moment)
                     if (machine, row.name) not in self._live:
-                        if not self._can(enabled, *self._given_where((machine, name))):
+                        if not self._can(enabled):
                             continue
                         self._live[machine, row.name] = row
                         if row.target is not None:
@@ -169,11 +186,8 @@ class Equivalents:
 
         Each leads to a state that does not depend on the one before, and nobody asks for that.
         """
-        built, every = self._built, set(machine.states)
-        others = (row for other in built.machines.values() for row in rows_of(other))
-        shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
-        asking = (*built.definitions.values(), *shown, *others)
-        if any(_asks_for(part, f"{machine.name}.state") for part in asking):
+        every = set(machine.states)
+        if self._asked_for(machine.name):
             return False
         return all(
             isinstance(row, Rule) and every <= set(row.sources) and row.target is not None
@@ -228,41 +242,8 @@ class Equivalents:
             for other, resting in self._resting.items()
         )
 
-    def _given_where(self, target: Target) -> tuple[Term, ...]:
-        """Give what is known when an input comes that rules give: one of these has just fired.
-
-        Only what a rule does not change itself, and only of an event that comes before all else.
-        """
-        event = ".".join(target)
-        givers = [(name, rule) for (name, _), rule in self._live.items() if event in _given(rule)]
-        if (
-            not givers
-            or self._comes_by_itself(target)
-            or not all(_gives_first(rule, event) for _, rule in givers)
-        ):
-            return ()
-        return (any_of(self._fired(name, rule, event) for name, rule in givers),)
-
-    def _fired(self, machine: str, rule: Rule, event: str) -> Term:
-        """Give what holds after a rule has fired, of what it leaves as it was."""
-        slots = {_slot(update, machine) for update in rule.updates}
-        slots |= set() if rule.target is None else {f"{machine}.state"}
-        key = f"{machine}.{rule.name} before {event}"
-        past = {slot: self._meaning.symbol(f"{slot} @{key}", slot) for slot in slots}
-        scope = Scope(machine, rule.input)
-        return self._enabled(rule, Moment(self._world.having(past), scope, key, {}))
-
-    def _comes_by_itself(self, target: Target) -> bool:
-        """Tell whether an input may come without a rule that gives it at once."""
-        machine, name = target
-        source = next(i for i in self._built.machines[machine].inputs if i.name == name)
-        event, fetched = ".".join(target), self._meaning.model.fetched
-        later = any(event == late.target for rule in self._live.values() for late in rule.laters)
-        raised = event in self._raisable or target == (fetched.machine, fetched.input)
-        return source.kind not in _INSIDE or later or raised
-
-    def _state(self, machine: str) -> Term:
-        state = self._world.get(f"{machine}.state")
+    def _state(self, machine: str, world: World | None = None) -> Term:
+        state = (world or self._world).get(f"{machine}.state")
         assert not isinstance(state, Content | Anything)
         return state
 
@@ -274,6 +255,24 @@ class Equivalents:
 
     def _moment(self, target: Target) -> Moment:
         return Moment(self._world, Scope(*target), ".".join(target), {})
+
+    def _ways(self, target: Target) -> Iterator[list[tuple[Moment, tuple[Term, ...]]]]:
+        """Yield the ways in which an input comes, with what is known then: vaguely, then as met."""
+        yield [(self._moment(target), self._before(target))]
+        met, further = self._met
+        if not any(RuleName(target[0], row.name) in further for row in self._rows[target]):
+            yield [
+                (
+                    meeting.moment,
+                    (*meeting.conditions, *self._before(_root(meeting))),
+                )
+                for meeting in met
+                if _target_of(meeting) == target
+            ]
+
+    @cached_property
+    def _met(self) -> tuple[tuple[Meeting, ...], frozenset[RuleName]]:
+        return Prover(with_guesses(self._built), meaning=self._meaning).met()
 
     def _enabled(self, row: Row, moment: Moment) -> Term:
         return self._chains.enabled(row, self._machine(moment), moment)
@@ -303,9 +302,21 @@ class Equivalents:
         target = machine, wrong.input
         if not self._comes(target):
             return True
+        if mutant.checks and self._unsure(wrong):
+            return False
         rows = self._rows[target]
         others = tuple(row for row in rows if row.name != name)
         return self._same(target, rows, (wrong, *others))
+
+    def _unsure(self, row: Rule) -> bool:
+        """Tell whether a guard may be neither true nor false to the device.
+
+        Of several such rows it takes the first one, and a wrong rule stands before the others.
+        """
+        names = definitions_in(self._built, row.guard)
+        parts = (row.guard, *(self._built.definitions[name].value for name in names))
+        calls = (node.function for node in nodes_in(parts) if isinstance(node, Call))
+        return not _UNSURE.isdisjoint(calls)
 
     def _same_definition(self, mutant: Mutant) -> bool:
         name = mutant.place.removeprefix(DEFINE)
@@ -327,8 +338,9 @@ class Equivalents:
                     continue
                 # what follows a frame is looked at later, in whatever state there is then
                 late = row.after is not None and name in definitions_in(self._built, row.after)
-                here = True if late else self._enabled(row, moment)
-                if self._can(here, self._unlike(old, new, moment)):
+                if late and self._can(self._unlike(old, new, moment)):
+                    return False
+                if not late and not self._same_in(row, target, old, new):
                     return False
             if any(a is not b for a, b in zip(rows, wrong, strict=True)) and not self._same(
                 target, rows, wrong
@@ -336,7 +348,31 @@ class Equivalents:
                 return False
         return True
 
+    def _same_in(self, row: Row, target: Target, old: Expression, new: Expression) -> bool:
+        """Tell whether two expressions are alike where a row takes its input."""
+        return any(
+            not any(
+                self._can(*known, self._enabled(row, moment), self._unlike(old, new, moment))
+                for moment, known in ways
+            )
+            for ways in self._ways(target)
+        )
+
     def _unlike(self, old: Expression, new: Expression, moment: Moment) -> Term:
+        """Give what holds where two expressions may differ; of the same alternatives in each."""
+        if old == new:
+            return False
+        if isinstance(old, Conditional) and isinstance(new, Conditional):
+            one, other = (self._meaning.truth(each.condition, moment) for each in (old, new))
+            thens = self._unlike(old.then, new.then, moment)
+            elses = self._unlike(old.otherwise, new.otherwise, moment)
+            return any_of(
+                (
+                    negated(equal(one, other)),
+                    all_of((one, thens)),
+                    all_of((negated(one), elses)),
+                )
+            )
         return self._differ(*(self._meaning.value(each, moment, None) for each in (old, new)))
 
     def _with(self, row: Row, name: str, value: Expression) -> Row:
@@ -347,7 +383,18 @@ class Equivalents:
 
     def _same(self, target: Target, rows: tuple[Row, ...], wrong: tuple[Row, ...]) -> bool:
         """Tell whether the first of the wrong rows that fires does what the right one does."""
-        moment = self._moment(target)
+        return any(
+            all(self._same_at(moment, known, rows, wrong) for moment, known in ways)
+            for ways in self._ways(target)
+        )
+
+    def _same_at(
+        self,
+        moment: Moment,
+        first: tuple[Term, ...],
+        rows: tuple[Row, ...],
+        wrong: tuple[Row, ...],
+    ) -> bool:
         right = [(row, self._enabled(row, moment)) for row in rows]
         ways: list[tuple[Row | None, Term]] = []
         before: list[Term] = []
@@ -357,12 +404,13 @@ class Equivalents:
             before.append(negated(here))
         ways.append((None, all_of(before)))
         known = [*right, (None, all_of(negated(here) for _, here in right))]
-        first = (*self._before(target), *self._given_where(target))
         return not any(
             self._can(*first, here, there, self._unlike_effects(one, other, moment))
             for one, here in known
             for other, there in ways
-            if one is not other and not (one in wrong and other in rows)
+            if one is not other
+            and not (one in wrong and other in rows)
+            and (self._gaps_differ or not isinstance(one, Gap))
         )
 
     def _unlike_effects(self, one: Row | None, other: Row | None, moment: Moment) -> Term:
@@ -376,15 +424,42 @@ class Equivalents:
         goes_on = any(f.startswith(f"{machine}.") for r in (one, other) for f in _next(r))
         asked = goes_on or machine not in self._forgetful
         for source in self._built.machines[machine].states if asked else ():
-            if _target(one, source) != _target(other, source):
+            ends = _target(one, source), _target(other, source)
+            if ends[0] != ends[1] and not self._meet_again(machine, one, ends):
                 (value,) = self._numbers(machine, {source})
-                parts.append(equal(self._state(machine), value))
+                parts.append(equal(self._state(machine, moment.world), value))
         changes = [self._changed(row, moment) for row in (one, other)]
         for slot in changes[0].keys() | changes[1].keys():
             if not _alike(one, other, slot):
-                was = self._world.get(slot)
+                was = moment.world.get(slot)
                 parts.append(self._differ(*(change.get(slot, was) for change in changes)))
         return any_of(parts)
+
+    def _meet_again(self, machine: str, row: Row | None, states: tuple[str, str]) -> bool:
+        """Tell whether what a row gives next leads to one state from both, and nobody asks."""
+        given = (
+            (*row.gives, *(row.after.gives if row.after else ())) if isinstance(row, Rule) else ()
+        )
+        own = [give.target for give in given if give.target.startswith(f"{machine}.")]
+        if not own or self._asked_for(machine):
+            return False
+        rows = self._rows[machine, own[0].partition(".")[2]]
+        taking = [row for row in rows if not set(states).isdisjoint(row.sources)]
+        if any(
+            isinstance(row, Gap) or row.target is None or not set(states) <= set(row.sources)
+            for row in taking
+        ):
+            return False
+        moment = self._moment((machine, own[0].partition(".")[2]))
+        there = any_of(equal(self._state(machine), n) for n in self._numbers(machine, states))
+        return not self._can(there, *(negated(self._enabled(row, moment)) for row in taking))
+
+    def _asked_for(self, machine: str) -> bool:
+        """Tell whether any part of the texts asks for the state of a machine."""
+        built, name = self._built, f"{machine}.state"
+        rows = (row for each in built.machines.values() for row in rows_of(each))
+        shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
+        return any(_asks_for(part, name) for part in (*built.definitions.values(), *shown, *rows))
 
     def _effects(self, row: Row | None) -> tuple[object, ...]:
         """Give what a row does beside its target and what it sets; its time limit is none of it."""
@@ -425,6 +500,17 @@ class Equivalents:
         return changes
 
 
+def _target_of(meeting: Meeting) -> Target:
+    scope = meeting.moment.scope
+    return scope.machine or "", scope.input or ""
+
+
+def _root(meeting: Meeting) -> Target:
+    """Give the input from outside that led to another, or was it."""
+    scope = meeting.fired[0][1].scope if meeting.fired else meeting.moment.scope
+    return scope.machine or "", scope.input or ""
+
+
 def _alike(one: Row | None, other: Row | None, slot: str) -> bool:
     """Tell whether two rows set a slot in the same words."""
     names = {slot, slot.rpartition(".")[2]}
@@ -439,12 +525,6 @@ def _updates(row: Row | None) -> tuple[Update, ...]:
 def _taken(value: Expression) -> Expression:
     """Give what the device takes for a number where the texts leave it open."""
     return value.preferred if isinstance(value, AnyValue) and value.preferred else value
-
-
-def _gives_first(rule: Rule, event: str) -> bool:
-    """Tell whether a rule gives an event before anything else happens."""
-    alone = rule.after is None and not rule.stores and rule.take is None
-    return alone and bool(rule.gives) and rule.gives[0].target == event
 
 
 def _slot(update: Update, machine: str) -> str:

@@ -25,7 +25,8 @@ from ecatspec.generators.case import (
     WriteRegister,
 )
 from ecatspec.generators.drive_cover import STATUS
-from ecatspec.generators.transfers import upload
+from ecatspec.generators.transfers import normal_download, upload
+from ecatspec.model.dictionary import size_of
 from ecatspec.model.esc import PROCESS_DATA
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.spec.language.ir import Access, Call, In, Literal, Name
@@ -81,6 +82,13 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     most = model.dictionary.highest(index)
     last = set_entry(model, index, most, own[0]), _ask(index, most)
     yield _case(model, f"last_entry_while_counted/{key}", (clear, first, one, *last))
+    size = size_of(model.dictionary.entries[index, most])
+    parts = normal_download(model, (index, most), own[0].to_bytes(size, "little"), first=0)
+    yield _case(
+        model,
+        f"last_entry_in_segments_while_counted/{key}",
+        (clear, _ask(index, most), first, one, *parts, _ask(index, most)),
+    )
     for count in (most + 1, 0xFF):
         counted = set_entry(model, index, 0, count)
         yield _case(model, f"count_{count}/{key}", (clear, first, counted))

@@ -501,7 +501,7 @@ def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
     assert told[: len(names)] == [f"{SMALL}: {name}" for name in names]
     assert set(told[len(names) :]) == {f"{SMALL}: {mutant.place}" for mutant in sample}
 
-    assert (found.count(Fate.KILLED), found.count(Fate.UNNOTICED, EARLY)) == (3, 1)
+    assert (found.count(Fate.KILLED), found.count(Fate.UNNOTICED, SILENT)) == (3, 1)
     assert (found.score(), found.score(EARLY), found.score(WRONG)) == (0.6, 0.5, 1.0)
     assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-2:]]
 

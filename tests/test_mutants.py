@@ -502,8 +502,8 @@ def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(told[len(names) :]) == {f"{SMALL}: {mutant.place}" for mutant in sample}
 
     assert (found.count(Fate.KILLED), found.count(Fate.UNNOTICED, SILENT)) == (3, 1)
-    assert (found.score(), found.score(EARLY), found.score(WRONG)) == (0.6, 0.5, 1.0)
-    assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-2:]]
+    assert (found.score(), found.score(SILENT), found.score(WRONG)) == (0.75, 0.5, 1.0)
+    assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-1:]]
 
 
 def test_a_mutant_with_a_rule_that_means_nothing_is_killed(small: Callable[..., Analysis]) -> None:

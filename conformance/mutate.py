@@ -59,8 +59,6 @@ _EXPLORING: Final = 300.0
 
 _EXPLORED: Final = frozenset({"al", "process_data", "ds402"})
 """The machines that the finite machines show as a whole."""
-_FEW: Final = 20
-"""After so many cases without a difference it is looked whether there can be one."""
 
 
 # --- a device that is listened to -----------------------------------------------------------------
@@ -225,9 +223,7 @@ class _Ground:
             runner.configured = self.configured
         touched = sorted(self._touched(mutant, heard.device), key=lambda shown: len(shown.log))
         differing: list[_Shown] = []
-        for number, shown in enumerate(touched):
-            if number == _FEW and not differing and self._equal(mutant, heard.device):
-                return Fated(mutant, Fate.EQUIVALENT)
+        for shown in touched:
             if heard.differs(shown.log):
                 runner.choices = dict(SHAPE)
                 if (found := self._judged(mutant, runner, shown)) is not None:
@@ -299,8 +295,9 @@ class _Ground:
     def _equal(self, mutant: Mutant, device: VirtualSubDevice) -> bool:
         """Tell whether the finite machines of the mutant are those of the device.
 
-        They have what the AL state machine, the process data and the drive can show. Where no
-        step of their exploration is another, they are the same and need not be explored.
+        They have what the AL state machine, the process data and the drive can show, but for the
+        numbers that only some cases try: a time, a value, a PDO. Where no step of their
+        exploration is another, they are the same and need not be explored.
         """
         if not mutant.machines <= _EXPLORED or not self._explored(mutant):
             return False

@@ -76,6 +76,7 @@ class Equivalents:
         self._reached = {m.name: {m.initial} for m in built.machines.values()}
         self._live: dict[tuple[str, str], Rule] = {}
         self._held = self._held_at_first()
+        self._known = self._facts()
         self._explore()
         self._delivered_alone = all(
             DELIVER not in (given := [give.target for give in rule.gives]) or len(given) == 1
@@ -85,6 +86,7 @@ class Equivalents:
         self._resting = {m.name: self._rests_in(m) for m in built.machines.values()}
         self._forgetful = {m.name for m in built.machines.values() if self._forgets(m)}
         """Machines of which nobody can tell in which state they rest."""
+        self._met, self._further = Prover(with_guesses(built), meaning=self._meaning).met()
 
     def proved(self, mutant: Mutant) -> bool:
         """Tell whether a mutant is proved to do what the device does."""
@@ -127,6 +129,7 @@ class Equivalents:
                             self._reached[machine].add(row.target)
                         grown = True
                     grown |= self._learned(row, enabled, moment)
+                    self._known = self._facts()
 
     def _held_at_first(self) -> dict[str, set[bool]]:
         """Give the truths that variables hold at power-on, of those that nothing but rules sets."""
@@ -259,20 +262,15 @@ class Equivalents:
     def _ways(self, target: Target) -> Iterator[list[tuple[Moment, tuple[Term, ...]]]]:
         """Yield the ways in which an input comes, with what is known then: vaguely, then as met."""
         yield [(self._moment(target), self._before(target))]
-        met, further = self._met
-        if not any(RuleName(target[0], row.name) in further for row in self._rows[target]):
+        if not any(RuleName(target[0], row.name) in self._further for row in self._rows[target]):
             yield [
                 (
                     meeting.moment,
                     (*meeting.conditions, *self._before(_root(meeting))),
                 )
-                for meeting in met
+                for meeting in self._met
                 if _target_of(meeting) == target
             ]
-
-    @cached_property
-    def _met(self) -> tuple[tuple[Meeting, ...], frozenset[RuleName]]:
-        return Prover(with_guesses(self._built), meaning=self._meaning).met()
 
     def _enabled(self, row: Row, moment: Moment) -> Term:
         return self._chains.enabled(row, self._machine(moment), moment)
@@ -282,7 +280,7 @@ class Equivalents:
 
     def _can(self, *terms: Term) -> bool:
         """Tell whether all can hold together; what the solver does not find out can."""
-        return self._solver.ask((*self._facts(), *terms)) is not Answer.NO
+        return self._solver.ask((*self._known, *terms)) is not Answer.NO
 
     def _differ(self, one: Meant, other: Meant) -> Term:
         """Give what holds where two values may differ."""
@@ -456,10 +454,16 @@ class Equivalents:
 
     def _asked_for(self, machine: str) -> bool:
         """Tell whether any part of the texts asks for the state of a machine."""
-        built, name = self._built, f"{machine}.state"
+        return f"{machine}.state" in self._named
+
+    @cached_property
+    def _named(self) -> frozenset[str]:
+        """Give all names that the texts speak of."""
+        built = self._built
         rows = (row for each in built.machines.values() for row in rows_of(each))
         shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
-        return any(_asks_for(part, name) for part in (*built.definitions.values(), *shown, *rows))
+        parts = (*built.definitions.values(), *shown, *rows)
+        return frozenset(node.path for node in nodes_in(parts) if isinstance(node, Name))
 
     def _effects(self, row: Row | None) -> tuple[object, ...]:
         """Give what a row does beside its target and what it sets; its time limit is none of it."""
@@ -547,11 +551,6 @@ def _chosen(value: Expression) -> Expression:
             return one if one == other else replace(value, then=one, otherwise=other)
         case _:
             return value
-
-
-def _asks_for(part: object, name: str) -> bool:
-    """Tell whether a part of the texts speaks of something by this name."""
-    return any(isinstance(node, Name) and node.path == name for node in nodes_in(part))
 
 
 def _next(row: Row | None) -> set[str]:

@@ -295,16 +295,19 @@ class _Ground:
     def _equal(self, mutant: Mutant, device: VirtualSubDevice) -> bool:
         """Tell whether the finite machines of the mutant are those of the device.
 
-        They have what the AL state machine, the process data and the drive can show, but for the
-        numbers that only some cases try: a time, a value, a PDO. Where no step of their
+        They have what the AL state machine, the process data and the drive can show, whenever it
+        comes: they do not tell whether an alarm is set to another time. Where no step of their
         exploration is another, they are the same and need not be explored.
         """
         if not mutant.machines <= _EXPLORED or not self._explored(mutant):
             return False
-        if not any(self._other(mutant, device, taken) for taken in self.explored.values()):
+        others = [each for each in self.explored.values() if self._other(mutant, device, each)]
+        if not others:
             return True
         try:
             with _overdue(_EXPLORING):
+                if any(_retimed(device, taken) for taken in others):
+                    return False
                 found = _machines(device.model, device)
         except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
             return False
@@ -405,6 +408,14 @@ def _machines(model: Model, device: VirtualSubDevice) -> list[Abstraction]:
     every = (al_machine, drive_machine, al_drive_machine)
     found = (make(model, device=device) for make in every)
     return [machine for machine in found if machine is not None]
+
+
+def _retimed(device: VirtualSubDevice, taken: _Taken) -> bool:
+    """Tell whether a device sets an alarm to another time than is set in a step."""
+    mine = step(device.model, taken.state, taken.event)[0].alarms
+    times = {(alarm.event, alarm.after, alarm.within) for alarm in taken.step.alarms}
+    events = {event for event, *_ in times}
+    return any(a.event in events and (a.event, a.after, a.within) not in times for a in mine)
 
 
 @contextmanager

@@ -587,6 +587,22 @@ def test_the_finite_machines_speak_when_no_case_is_left(
     assert (found.fate, found.case) == (Fate.KILLED, telling.case.name)
 
 
+def test_the_finite_machines_know_no_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Model(load_device(DRIVE))
+    cases = [c for c in GENERATORS["process"](model, NO_LIMITS) if c.name.endswith("/watchdog")]
+    monkeypatch.setattr(mutate, "all_cases", lambda *_: cases)
+    monkeypatch.setattr(mutate, "complete_suites", lambda *_: ())
+    monkeypatch.setattr(mutate, "_machines", lambda *_: [])
+    monkeypatch.setattr(mutate, "_equivalents", lambda *_: None)
+    ground = mutate._Ground(DRIVE, "quick", None)  # noqa: SLF001  the fates, without a report
+    monkeypatch.setattr(ground, "explored", ground.steps)
+    monkeypatch.setattr(ground, "_explored", lambda _: True)
+    shorter = wrong_in(DRIVE, (f"{DEFINE}watchdog_time", Operator.OFF_BY_ONE, "2", "1"))
+    unseen = wrong_in(DRIVE, ("al.safeop_to_op", DROPPED, "identified"))
+    assert ground.fate(shorter).fate is Fate.UNNOTICED
+    assert ground.fate(unseen).fate is Fate.EQUIVALENT
+
+
 # --- proofs ---------------------------------------------------------------------------------------
 
 IN_VAIN: Final[Mapping[str, Mistake]] = {

@@ -293,6 +293,7 @@ TOGETHER: tuple[dict[str, str | bool], ...] = (
     {"size_judged_late": True, "size_judged_now": False},
     {"partial_refused": True, "odd_aborted": True, "unclear_answered": True},
     {"short_abort_unheard": False, "odd_aborted": True},
+    {"inexact_taken": True, "value_accepted": False},
 )
 """Points that matter only together."""
 

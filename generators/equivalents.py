@@ -48,8 +48,9 @@ Target = tuple[str, str]
 """A machine and an input of it."""
 _INSIDE: Final = frozenset({"own", "local", "event"})
 """Inputs that come from within the device only, from rules or by themselves."""
-_UNSURE: Final = frozenset({"can_hold", "holds"})
-"""Functions to which even a device has no answer of its own, for an empty place in a mapping."""
+_UNSURE: Final = frozenset({"can_hold", "holds", "pdo_bits"})
+"""Functions to which even a device has no answer of its own, for a place in a mapping that is
+empty or not there."""
 _OUTSIDE: Final = frozenset({"frame", "local", "write"})
 """Inputs that come when all that was given before is done."""
 

@@ -59,8 +59,6 @@ _EXPLORING: Final = 300.0
 
 _EXPLORED: Final = frozenset({"al", "process_data", "ds402"})
 """The machines that the finite machines show as a whole."""
-_FEW: Final = 20
-"""After so many cases without a difference it is looked whether there can be one."""
 
 
 # --- a device that is listened to -----------------------------------------------------------------
@@ -225,9 +223,7 @@ class _Ground:
             runner.configured = self.configured
         touched = sorted(self._touched(mutant, heard.device), key=lambda shown: len(shown.log))
         differing: list[_Shown] = []
-        for number, shown in enumerate(touched):
-            if number == _FEW and not differing and self._equal(mutant, heard.device):
-                return Fated(mutant, Fate.EQUIVALENT)
+        for shown in touched:
             if heard.differs(shown.log):
                 runner.choices = dict(SHAPE)
                 if (found := self._judged(mutant, runner, shown)) is not None:
@@ -242,8 +238,11 @@ class _Ground:
                 return found
         if differing:
             return Fated(mutant, Fate.TOLERATED, differing[0].case.name)
-        same = self._equal(mutant, heard.device)
-        return Fated(mutant, Fate.EQUIVALENT if same else Fate.UNNOTICED)
+        if self._equal(mutant, heard.device):
+            return Fated(mutant, Fate.EQUIVALENT)
+        if self.equivalents is not None and self.equivalents.left_open(mutant):
+            return Fated(mutant, Fate.TOLERATED)
+        return Fated(mutant, Fate.UNNOTICED)
 
     def _judged(self, mutant: Mutant, runner: Runner, shown: _Shown) -> Fated | None:
         try:
@@ -296,15 +295,19 @@ class _Ground:
     def _equal(self, mutant: Mutant, device: VirtualSubDevice) -> bool:
         """Tell whether the finite machines of the mutant are those of the device.
 
-        They have what the AL state machine, the process data and the drive can show. Where no
-        step of their exploration is another, they are the same and need not be explored.
+        They have what the AL state machine, the process data and the drive can show, whenever it
+        comes: they do not tell whether an alarm is set to another time. Where no step of their
+        exploration is another, they are the same and need not be explored.
         """
         if not mutant.machines <= _EXPLORED or not self._explored(mutant):
             return False
-        if not any(self._other(mutant, device, taken) for taken in self.explored.values()):
+        others = [each for each in self.explored.values() if self._other(mutant, device, each)]
+        if not others:
             return True
         try:
             with _overdue(_EXPLORING):
+                if any(_retimed(device, taken) for taken in others):
+                    return False
                 found = _machines(device.model, device)
         except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
             return False
@@ -405,6 +408,14 @@ def _machines(model: Model, device: VirtualSubDevice) -> list[Abstraction]:
     every = (al_machine, drive_machine, al_drive_machine)
     found = (make(model, device=device) for make in every)
     return [machine for machine in found if machine is not None]
+
+
+def _retimed(device: VirtualSubDevice, taken: _Taken) -> bool:
+    """Tell whether a device sets an alarm to another time than is set in a step."""
+    mine = step(device.model, taken.state, taken.event)[0].alarms
+    times = {(alarm.event, alarm.after, alarm.within) for alarm in taken.step.alarms}
+    events = {event for event, *_ in times}
+    return any(a.event in events and (a.event, a.after, a.within) not in times for a in mine)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from ecatspec.conformance.adapter import raise_local
 from ecatspec.conformance.verdict import TraceLine
 from ecatspec.generators.case import (
     Happen,
+    Hurry,
     Probe,
     ReadConfiguration,
     ReadRegister,
@@ -90,6 +91,7 @@ class Session:
     _shown_words: dict[str, str] = field(default_factory=dict)
     _outputs: dict[str, int] | None = None
     """The words that are written cyclically, None where nothing is."""
+    _hurries: bool = False
     _began: float | None = None
     """When the clock of a device in real time was 0; None: time passes by waiting alone."""
 
@@ -108,6 +110,7 @@ class Session:
         self._shown = {}
         self._shown_words = {}
         self._outputs = None
+        self._hurries = False
         self.oracle.power_on(choices, objects)
         self._look()
 
@@ -158,14 +161,20 @@ class Session:
             case Wait():
                 self._say("MainDevice", f"waits {stimulus.microseconds / 1000:.1f} ms")
                 self._wait(stimulus.microseconds)
+            case Hurry():
+                self._hurries = True
+                return
             case Happen():
-                machine, _, event = stimulus.event.partition(".")
-                self._say("SubDevice", f"is befallen by {event.replace('_', ' ')}")
-                raise_local(self.adapter, stimulus.event)
-                self.oracle.happened(machine, event, self.time)
+                self._befall(stimulus)
             case _:
                 assert_never(stimulus)
         self._settle()
+
+    def _befall(self, stimulus: Happen) -> None:
+        machine, _, event = stimulus.event.partition(".")
+        self._say("SubDevice", f"is befallen by {event.replace('_', ' ')}")
+        raise_local(self.adapter, stimulus.event)
+        self.oracle.happened(machine, event, self.time)
 
     # --- process data -----------------------------------------------------------------------------
 
@@ -279,6 +288,10 @@ class Session:
     # --- watching ---------------------------------------------------------------------------------
 
     def _settle(self, *, unread: bool = False) -> None:
+        if self._hurries:
+            self._hurries = False
+            self._look(unread=unread)
+            return
         wait = _FIRST_WAIT
         # where anything may happen there is nothing to see before it has
         left = self.oracle.open_until(self.time) - self.time

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 from ecatspec.generators.case import (
     Case,
     Happen,
+    Hurry,
     Probe,
     ReadConfiguration,
     ReadRegister,
@@ -133,6 +134,7 @@ def _simpler(stimulus: Stimulus) -> Iterator[Stimulus]:
             | Probe()
             | ReadConfiguration()
             | StopOutputs()
+            | Hurry()
             | Happen()
         ):
             pass

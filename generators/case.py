@@ -101,6 +101,11 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
+class Hurry:
+    """What follows this is not waited for: the device is looked at once, then the next comes."""
+
+
+@dataclass(frozen=True, slots=True)
 class Happen:
     """A local event (`machine.input`) befalls the device; the adapter raises it."""
 
@@ -120,6 +125,7 @@ Stimulus: TypeAlias = (
     | WriteOutputs
     | StopOutputs
     | Wait
+    | Hurry
     | Happen
 )
 

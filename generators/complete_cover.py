@@ -17,7 +17,7 @@ from ecatspec.generators.transfers import (
     upload,
 )
 from ecatspec.model.dictionary import encode_value, size_of
-from ecatspec.spec.language.ir import Access, Bool
+from ecatspec.spec.language.ir import Access, Bool, SInt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -119,6 +119,21 @@ def out_of_range(entries: list[ObjectEntry], first: int) -> bytes | None:
     return data if found else None
 
 
+def _alone(entries: list[ObjectEntry], first: int) -> dict[str, bytes]:
+    """Give images of one entry of several, beside its range."""
+    found: dict[str, bytes] = {}
+    for entry in entries if len(entries) > 1 else ():
+        if entry.subindex == first and is_written(entry) and entry.low is not None:
+            assert entry.high is not None
+            bits = 8 * size_of(entry)
+            least = -(1 << bits - 1) if isinstance(entry.type, SInt) else 0
+            for word, number in (("below", entry.low - 1), ("above", entry.high + 1)):
+                if least <= number < least + (1 << bits):
+                    value = encode_value(entry, number)
+                    found[word] = value.ljust(len(value) * (2 if first == 0 else 1), b"\0")
+    return found
+
+
 def _downloads(
     model: Model, limits: Limits, index: int, entries: list[ObjectEntry]
 ) -> Iterator[Case]:
@@ -154,6 +169,11 @@ def _downloads(
             stimuli: list[Stimulus] = [*back, *requests, *back]
             title = f"download all from {first}, {word.replace('_', ' ')}"
             yield _case(model, name, title, stimuli, state)
+        for word, value in _alone(entries, first).items():
+            put = initiate(index, first, len(value), value, complete=True)
+            name = f"complete_download_of_one_{word}/{index:04X}_from_{first}"
+            title = f"download no more than the first entry from {first}, {word}"
+            yield _case(model, name, title, [*back, put, *back], state)
         for other in WAY_UP[1:]:
             if any(is_written(e) and e.states and other not in e.states for e in entries):
                 stimuli = [*shapes["whole"], *back]

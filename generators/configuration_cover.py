@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ecatspec.generators.assignment import (
+    assign,
+    entry_of,
+    is_fixed,
+    mapping,
+    pdos_of,
+    set_entry,
+)
 from ecatspec.generators.bringup import has_process_data, mailbox_settings, request, way_to
 from ecatspec.generators.case import (
     Case,
@@ -17,8 +25,8 @@ from ecatspec.generators.case import (
     WriteRegister,
 )
 from ecatspec.generators.drive_cover import STATUS
-from ecatspec.generators.transfers import download, upload
-from ecatspec.model.dictionary import encode_value, size_of
+from ecatspec.generators.transfers import normal_download, upload
+from ecatspec.model.dictionary import size_of
 from ecatspec.model.esc import PROCESS_DATA
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.spec.language.ir import Access, Call, In, Literal, Name
@@ -46,8 +54,8 @@ def configuration_cover(model: Model, _: Limits) -> Iterator[Case]:
             yield from _assignments(model, name, index)
     for name in (OUTPUTS, INPUTS):
         free = 0
-        for pdo in _pdos(model, name):
-            fixed = model.dictionary.entries[pdo, 0].access is Access.READ
+        for pdo in pdos_of(model, name):
+            fixed = is_fixed(model, pdo)
             yield from _fixed(model, pdo) if fixed else _mappings(model, name, pdo, every=not free)
             free += not fixed
 
@@ -56,24 +64,34 @@ def configuration_cover(model: Model, _: Limits) -> Iterator[Case]:
 
 
 def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
-    own, other = _pdos(model, name), _pdos(model, INPUTS if name == OUTPUTS else OUTPUTS)
+    own, other = pdos_of(model, name), pdos_of(model, INPUTS if name == OUTPUTS else OUTPUTS)
     key = f"{index:04X}"
     for pdo in own:
-        way = (*_assign(model, index, pdo), *_up(model))
+        way = (*assign(model, index, pdo), *_up(model))
         yield _case(model, f"assign/{key}_{pdo:04X}", way)
     if not own:
         return
     yield from _in_operation(model, name, own[0])
-    clear, one = _set(model, index, 0, 0), _set(model, index, 0, 1)
-    first = _set(model, index, 1, own[0])
+    clear, one = set_entry(model, index, 0, 0), set_entry(model, index, 0, 1)
+    first = set_entry(model, index, 1, own[0])
     yield _case(model, f"cleared/{key}", (clear, _ask(index, 0), *_up(model)))
-    yield _case(model, f"entry_while_counted/{key}", (one, _set(model, index, 1, own[-1])))
+    yield _case(model, f"entry_while_counted/{key}", (one, set_entry(model, index, 1, own[-1])))
     yield _case(model, f"same_entry_while_counted/{key}", (clear, first, one, first))
+    yield _case(model, f"emptied/{key}", (clear, set_entry(model, index, 1, 0), _ask(index, 1)))
+    yield _case(model, f"all_counted/{key}", _all_counted(model, index))
     most = model.dictionary.highest(index)
-    last = _set(model, index, most, own[0]), _ask(index, most)
+    last = set_entry(model, index, most, own[0]), _ask(index, most)
     yield _case(model, f"last_entry_while_counted/{key}", (clear, first, one, *last))
+    size = size_of(model.dictionary.entries[index, most])
+    parts = normal_download(model, (index, most), own[0].to_bytes(size, "little"), first=0)
+    yield _case(
+        model,
+        f"last_entry_in_segments_while_counted/{key}",
+        (clear, _ask(index, most), first, one, *parts, _ask(index, most)),
+    )
     for count in (most + 1, 0xFF):
-        yield _case(model, f"count_{count}/{key}", (clear, first, _set(model, index, 0, count)))
+        counted = set_entry(model, index, 0, count)
+        yield _case(model, f"count_{count}/{key}", (clear, first, counted))
     strange = {"undeclared": _nowhere(model), **_free(model, name)}
     if other:
         strange["other_direction"] = other[0]
@@ -83,7 +101,7 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     fits = (n for n in edges if n in near and n not in tried_before)
     strange |= {f"number_{number:X}": number for number in fits}
     for what, pdo in strange.items():
-        tried = (clear, _set(model, index, 1, pdo), one, _ask(index, 0), _ask(index, 1))
+        tried = (clear, set_entry(model, index, 1, pdo), one, _ask(index, 0), _ask(index, 1))
         yield _case(model, f"{what}/{key}", tried)
     for state in ("SAFEOP", "OP"):
         yield _case(model, f"changed_in_{state}/{key}", (clear, _ask(index, 0)), state)
@@ -91,9 +109,9 @@ def _assignments(model: Model, name: str, index: int) -> Iterator[Case]:
     to_init = request(model.row("al_state", "INIT"))
     preop = request(model.row("al_state", "PREOP"))
     again = (to_init, *mailbox_settings(model), preop, ReadConfiguration())
-    yield _case(model, f"survives_init/{key}", (*_assign(model, index, own[-1]), *again))
+    yield _case(model, f"survives_init/{key}", (*assign(model, index, own[-1]), *again))
     safeop = request(model.row("al_state", "SAFEOP"))
-    late = (SetUpProcessData(), *_assign(model, index, own[-1]), safeop)
+    late = (SetUpProcessData(), *assign(model, index, own[-1]), safeop)
     yield _case(model, f"settings_before/{key}", late)
 
 
@@ -103,7 +121,7 @@ def _in_operation(model: Model, name: str, pdo: int) -> Iterator[Case]:
     manager = PROCESS_DATA[(OUTPUTS, INPUTS).index(name)]
     safeop = request(model.row("al_state", "SAFEOP"))
     key = f"{index:04X}_{pdo:04X}"
-    assigned = _assign(model, index, pdo)
+    assigned = assign(model, index, pdo)
     up = (*assigned, *_up(model))
     off = WriteRegister(f"{manager}_activation", {"enabled": 0})
     yield _case(model, f"disabled/{key}", (*up, off))
@@ -136,12 +154,6 @@ def _compared(model: Model) -> list[int]:
     return [number for number in found if number >= 0]
 
 
-def _assign(model: Model, index: int, pdo: int) -> tuple[Stimulus, ...]:
-    """Assign one PDO and read what it maps, without which no settings fit."""
-    clear, one = _set(model, index, 0, 0), _set(model, index, 0, 1)
-    return clear, _set(model, index, 1, pdo), one, ReadConfiguration()
-
-
 def _up(model: Model) -> tuple[Stimulus, ...]:
     """Give the way from PREOP to OP with the process data that are assigned by then."""
     safeop, op = (request(model.row("al_state", name)) for name in ("SAFEOP", "OP"))
@@ -152,7 +164,7 @@ def _up(model: Model) -> tuple[Stimulus, ...]:
 
 
 def _fixed(model: Model, pdo: int) -> Iterator[Case]:
-    yield _case(model, f"fixed/{pdo:04X}", (_set(model, pdo, 0, 0), _ask(pdo, 0)))
+    yield _case(model, f"fixed/{pdo:04X}", (set_entry(model, pdo, 0, 0), _ask(pdo, 0)))
 
 
 def _mappings(model: Model, name: str, pdo: int, *, every: bool) -> Iterator[Case]:
@@ -160,72 +172,84 @@ def _mappings(model: Model, name: str, pdo: int, *, every: bool) -> Iterator[Cas
     key = f"{pdo:04X}"
     index = model.image.assignments[name]
     most = model.dictionary.highest(pdo)
-    free = (_set(model, index, 0, 0), _set(model, pdo, 0, 0))
-    good = [_entry_of(model, held) for held in _mappable(model, name)]
+    free = (set_entry(model, index, 0, 0), set_entry(model, pdo, 0, 0))
+    good = [entry_of(model, held) for held in _mappable(model, name)]
     for number, value in enumerate(good if every else good[:1]):
-        way = (*free, _set(model, pdo, 1, value), _set(model, pdo, 0, 1))
-        done = (*way, _set(model, index, 1, pdo), _set(model, index, 0, 1), *_up(model))
+        way = (*free, set_entry(model, pdo, 1, value), set_entry(model, pdo, 0, 1))
+        done = (*way, set_entry(model, index, 1, pdo), set_entry(model, index, 0, 1), *_up(model))
         yield _case(model, f"map_{number}/{key}", done)
     if not good:
         return
-    first = _set(model, pdo, 1, good[0])
-    one = _set(model, pdo, 0, 1)
-    yield _case(model, f"map_while_counted/{key}", (*free, first, one, _set(model, pdo, 1, 0)))
-    yield _case(model, f"map_count_{most + 1}/{key}", (*free, first, _set(model, pdo, 0, most + 1)))
+    first = set_entry(model, pdo, 1, good[0])
+    one = set_entry(model, pdo, 0, 1)
+    yield _case(model, f"map_while_counted/{key}", (*free, first, one, set_entry(model, pdo, 1, 0)))
+    yield _case(
+        model, f"map_count_{most + 1}/{key}", (*free, first, set_entry(model, pdo, 0, most + 1))
+    )
     for what, value in _unmappable(model, name, good[0]).items():
-        tried = (*free, _set(model, pdo, 1, value), one, _ask(pdo, 0), _ask(pdo, 1))
+        tried = (*free, set_entry(model, pdo, 1, value), one, _ask(pdo, 0), _ask(pdo, 1))
         yield _case(model, f"map_{what}/{key}", tried)
-    long = _too_much(model, good, most)
-    if long:
-        filled = [_set(model, pdo, n, value) for n, value in enumerate(long, 1)]
-        yield _case(model, f"map_too_much/{key}", (*free, *filled, _set(model, pdo, 0, len(long))))
+    emptied = (*free, set_entry(model, pdo, 1, 0), _ask(pdo, 1))
+    yield _case(model, f"map_emptied/{key}", emptied)
+    yield _case(model, f"map_all_counted/{key}", _all_counted(model, pdo))
+    for what, held in _around_capacity(model, good, most).items():
+        filled = [set_entry(model, pdo, n, value) for n, value in enumerate(held, 1)]
+        counted = set_entry(model, pdo, 0, len(held))
+        yield _case(model, f"map_{what}/{key}", (*free, *filled, counted, _ask(pdo, 0)))
     for state in ("SAFEOP", "OP"):
-        late = (_set(model, pdo, 0, 0), _ask(pdo, 0))
+        late = (set_entry(model, pdo, 0, 0), _ask(pdo, 0))
         yield _case(model, f"mapped_in_{state}/{key}", late, state)
 
 
 def _unmappable(model: Model, name: str, good: int) -> dict[str, int]:
     """Give mapping entries that no device can hold."""
     found = {
-        "nothing": _value(model, (_nowhere(model), 0), 16),
+        "nothing": mapping(model, (_nowhere(model), 0), 16),
         "more_bits": good + 8,
     }
     wrong = Access.READ if name == OUTPUTS else Access.WRITE
     for key, entry in model.dictionary.entries.items():
         if entry.access is wrong and entry.mappable:
-            found["wrong_way"] = _entry_of(model, key)
+            found["wrong_way"] = entry_of(model, key)
             break
     for key, entry in model.dictionary.entries.items():
         if not entry.mappable and not model.image.configures(key[0]):
-            found["unmappable"] = _entry_of(model, key)
+            found["unmappable"] = entry_of(model, key)
             break
     return found
 
 
-def _too_much(model: Model, good: list[int], most: int) -> list[int]:
-    """Give entries that a PDO could count, with more bits than it holds; nothing: it holds all."""
-    room = model.parameter("pdo_capacity")
-    bits = {value: model.image.target(value)[1] for value in good}
-    chosen: list[int] = []
-    for value in sorted(good, key=lambda each: -bits[each]):
-        chosen.append(value)
-        if sum(bits[each] for each in chosen) > room * 8:
-            return chosen if len(chosen) <= most else []
-    return []
+def _around_capacity(model: Model, good: list[int], most: int) -> dict[str, tuple[int, ...]]:
+    """Give entries that a PDO could count: as many bits as it holds, and the least that are more.
+
+    Nothing of what entries cannot make up, each of them mapped once at most.
+    """
+    room = 8 * model.parameter("pdo_capacity")
+    made: dict[int, tuple[int, ...]] = {0: ()}
+    for value in good:
+        for bits, chosen in tuple(made.items()):
+            longer = bits + model.image.target(value)[1]
+            known = made.get(longer)
+            has_room = bits <= room and len(chosen) < most
+            if has_room and (known is None or len(chosen) + 1 < len(known)):
+                made[longer] = (*chosen, value)
+    sums = {"as_much_as_it_holds": room, "too_much": min((n for n in made if n > room), default=0)}
+    return {what: made[bits] for what, bits in sums.items() if made.get(bits)}
+
+
+def _all_counted(model: Model, index: int) -> tuple[Stimulus, ...]:
+    """Read every place of an object and count them all, whatever they hold."""
+    places = range(1, model.dictionary.highest(index) + 1)
+    read = (_ask(index, place) for place in places)
+    return (*read, set_entry(model, index, 0, len(places)), _ask(index, 0))
 
 
 # --- helpers --------------------------------------------------------------------------------------
 
 
-def _pdos(model: Model, name: str) -> list[int]:
-    return sorted(
-        {index for index, _ in model.dictionary.entries if index in model.image.pdos[name]}
-    )
-
-
 def _free(model: Model, name: str) -> dict[str, int]:
     """Give an index of PDOs of this direction under which no text declares one, if there is."""
-    taken = set(_pdos(model, name))
+    taken = set(pdos_of(model, name))
     free = [index for index in model.image.pdos[name] if index not in taken]
     return {"free": free[-1]} if free else {}
 
@@ -240,22 +264,6 @@ def _mappable(model: Model, name: str) -> list[ObjectKey]:
     wrong = Access.READ if name == OUTPUTS else Access.WRITE
     entries = model.dictionary.entries.values()
     return [(e.index, e.subindex) for e in entries if e.mappable and e.access is not wrong]
-
-
-def _entry_of(model: Model, key: ObjectKey) -> int:
-    return _value(model, key, 8 * size_of(model.dictionary.entries[key]))
-
-
-def _value(model: Model, key: ObjectKey, bits: int) -> int:
-    fields = {f.name: f.low for f in model.protocol.words["pdo_entry"].fields}
-    return bits << fields["bit_length"] | key[1] << fields["subindex"] | key[0] << fields["index"]
-
-
-def _set(model: Model, index: int, subindex: int, value: int) -> Stimulus:
-    entry = model.dictionary.entries.get((index, subindex))
-    if entry is None:
-        return download(index, subindex, value.to_bytes(4, "little"))
-    return download(index, subindex, encode_value(entry, value))
 
 
 def _ask(index: int, subindex: int) -> Stimulus:

@@ -10,20 +10,26 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from ecatspec.generators.assignment import assign_all
 from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
+    Hurry,
     Probe,
+    SetUpProcessData,
     Stimulus,
     StopOutputs,
     Wait,
     WriteOutputs,
+    WriteRegister,
 )
 from ecatspec.generators.play import play
 from ecatspec.generators.process_data import holds
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import encode_value
+from ecatspec.model.esc import PROCESS_DATA
+from ecatspec.model.evaluate import Environment
 from ecatspec.model.once import once
 from ecatspec.model.subdevice import VirtualSubDevice, power_on
 
@@ -37,6 +43,7 @@ Symbol = tuple[str, Stimulus]
 Way = tuple[Symbol, ...]
 
 CONTROL, STATUS = "control_word", "status_word"
+CHOSEN = "chosen_mode"
 _LONG = 5_000_000
 _EVENTS = ("fault", "fault_gone", "mains_off", "mains_on")
 _CODES = {"shutdown_code": "shutdown", "disable_code": "switch_on", "halt_code": "halt"}
@@ -81,9 +88,12 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
     yield from _leaving(model, shortest)
     yield from _options(model, shortest)
     yield from _modes(model)
+    yield from _mapped_modes(model)
     yield from _reads(model, shortest)
     yield from _resets(model, shortest)
     yield from _early(model)
+    yield from _unwatched(model)
+    yield from _hurried(model, shortest)
 
 
 def commands(model: Model) -> dict[str, int]:
@@ -227,6 +237,9 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
             yield _in(model, "up_again/fault_gone", (*_of(way), gone, preop, *up, *again))
         yield _in(model, f"watchdog/{name}", (*_of(way), StopOutputs(), Wait(_LONG)))
         yield _in(model, f"sync_lost/{name}", (*_of(way), Happen("al.sync_lost")))
+        off = WriteRegister(f"{PROCESS_DATA[0]}_activation", {"enabled": 0})
+        back = (SetUpProcessData(), request(model.row("al_state", "SAFEOP"), acknowledge=True))
+        yield _in(model, f"disabled/{name}", (*_of(way), off, *back, op, *again))
     for option in options:
         chosen = () if option is None else (_option(model, "connection_code", option),)
         lost = (*_of(ways.get(_ENABLED, ())), StopOutputs(), Wait(_LONG), WriteOutputs())
@@ -261,6 +274,33 @@ def _early(model: Model) -> Iterator[Case]:
         yield _in(model, "early/by_sdo", (first, *up, upload(*status)), "PREOP")
 
 
+def _hurried(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield commands while the drive stops, and a fault while it tests itself."""
+    known = commands(model)
+    for name in ("enable_operation", "disable_voltage"):
+        if _ENABLED in ways:
+            stopping = (*_of(ways[_ENABLED]), Hurry(), WriteOutputs({CONTROL: known["quick_stop"]}))
+            done = (*stopping, WriteOutputs({CONTROL: known[name]}))
+            yield _in(model, f"while_stopping/{name}", done)
+    op = request(model.row("al_state", "OP"))
+    tested = (WriteOutputs(), Hurry(), op, Happen("ds402.fault"))
+    yield _in(model, "while_testing/fault", tested, "SAFEOP")
+
+
+def _unwatched(model: Model) -> Iterator[Case]:
+    """Yield outputs that stop while the watchdog is off: they still count, and so do new ones."""
+    off = WriteRegister("watchdog_process_data", {"time": 0})
+    known = commands(model)
+    shutdown, nothing = (WriteOutputs({CONTROL: known[n]}) for n in ("shutdown", "disable_voltage"))
+    safeop, op = (request(model.row("al_state", name)) for name in ("SAFEOP", "OP"))
+    stopped = (off, shutdown, StopOutputs(), Wait(_LONG))
+    yield _in(model, "unwatched/SAFEOP", (*stopped, op, nothing), "SAFEOP")
+    yield _in(model, "unwatched/OP", (*stopped, nothing))
+    for option in _values(model, "connection_code")[:1]:
+        chosen = _option(model, "connection_code", option)
+        yield _in(model, "unwatched/again", (chosen, *stopped, safeop, op, nothing))
+
+
 def _options(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     """Yield a quick stop, halt and disabling with every option code that the texts allow."""
     known = commands(model)
@@ -268,12 +308,16 @@ def _options(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     if enabled is None:
         return
     after = ("enable_operation", "shutdown", "switch_on", "disable_voltage", "quick_stop")
-    for option in _values(model, "quick_stop_code"):
+    codes = _values(model, "quick_stop_code")
+    for option in codes:
         chosen = (_option(model, "quick_stop_code", option), *_of(enabled))
         stopped = (*chosen, WriteOutputs({CONTROL: known["quick_stop"]}), Wait(_LONG))
         for name in after:
             done = (*stopped, WriteOutputs({CONTROL: known[name]}))
             yield _in(model, f"quick_stop_code_{option}/{name}", done)
+        if option in {codes[0], codes[-1]}:
+            done = (*stopped, Happen("ds402.stopped"))
+            yield _in(model, f"quick_stop_code_{option}/stopped", done)
     for code, name in _CODES.items():
         for option in _values(model, code):
             first = (_option(model, code, option), *_of(enabled))
@@ -286,19 +330,63 @@ def _options(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
 
 def _modes(model: Model) -> Iterator[Case]:
     """Yield every mode of the profile, one that it reserves, and ones of the manufacturer."""
-    chosen, active = (model.protocol.words[name].key for name in ("chosen_mode", "active_mode"))
+    chosen, active = (model.protocol.words[name].key for name in (CHOSEN, "active_mode"))
     if chosen is None or active is None:
         return
     if not {chosen, active} <= model.dictionary.entries.keys():
         return
     rows = [r.value for r in model.protocol.tables["operation_mode"].rows]
+    first_ones = (*rows[:1], *_offered(model)[0][:1])
     for mode in (*rows, 5, 11, 127, -1):
         done = (_set(model, chosen, mode), upload(*active))
         yield _in(model, f"mode_{mode}/PREOP", done, "PREOP")
         yield _in(model, f"mode_{mode}/OP", done)
-        for first in rows[:2]:
+        for first in first_ones:
             again = (_set(model, chosen, first), upload(*active), *done)
             yield _in(model, f"mode_{mode}_after_{first}/OP", again)
+
+
+def _mapped_modes(model: Model) -> Iterator[Case]:
+    """Yield modes that process data bring, and modes by SDO beside them."""
+    control, chosen, active = (
+        model.protocol.words[name].key for name in (CONTROL, CHOSEN, "active_mode")
+    )
+    if control is None or chosen is None or active is None:
+        return
+    if not {control, chosen, active} <= model.dictionary.entries.keys():
+        return
+    mapped = assign_all(model, (control, chosen))
+    good, bad = _offered(model)
+    if not mapped or len(good) <= 1:
+        return
+    ask = upload(*active)
+    by_sdo = _set(model, chosen, good[0]), ask
+    brought = WriteOutputs({CHOSEN: good[1]}), ask
+    safeop, up = (way_to(model, state)[len(way_to(model, "PREOP")) :] for state in ("SAFEOP", "OP"))
+    done: dict[str, tuple[Stimulus, ...]] = {
+        "PREOP": by_sdo,
+        "SAFEOP": (*safeop, *by_sdo, *brought, request(model.row("al_state", "OP")), ask),
+        "OP": (*up, *brought),
+        "by_sdo": (*up, *brought, *by_sdo),
+    }
+    if bad:
+        done["not_offered"] = (*up, *brought, WriteOutputs({CHOSEN: bad[0]}), ask)
+        done["not_offered_by_sdo"] = (*up, *brought, _set(model, chosen, bad[0]), ask)
+    for name, stimuli in done.items():
+        yield _in(model, f"mode_mapped/{name}", (*mapped, *stimuli), "PREOP")
+
+
+@once
+def _offered(model: Model) -> tuple[list[int], list[int]]:
+    """Give the modes that the drive has, the certain ones first, and those that it has not."""
+    state = power_on(model)
+    offered = model.definition("mode_offered")
+    found: dict[bool | None, list[int]] = {True: [], None: [], False: []}
+    for row in model.protocol.tables["operation_mode"].rows[1:]:
+        slots = state.having(model.slots[f"word {CHOSEN}"], row.value).slots
+        value = offered(Environment(slots, state.known(), {}))
+        found[value if isinstance(value, bool) else None].append(row.value)
+    return found[True] + found[None], found[False]
 
 
 # --- helpers --------------------------------------------------------------------------------------

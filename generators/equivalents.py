@@ -8,17 +8,23 @@ may be anything in it, so that it errs on one side only: it misses mutants that 
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 from ecatspec.generators.mutants import DEFINE, SHOWN, definitions_in
 from ecatspec.model.chains import Chains
 from ecatspec.model.compiled import MAILBOX, rows_of
+from ecatspec.model.entered import with_guesses
 from ecatspec.model.interpreter import DELIVER
 from ecatspec.model.meaning import Meaning
 from ecatspec.model.moments import ANY, Anything, Content, Moment
+from ecatspec.model.proofs import Prover
+from ecatspec.model.state import RuleName
 from ecatspec.model.terms import Answer, Solver, all_of, any_of, equal, negated
 from ecatspec.spec.language.ir import (
+    AnyValue,
     Bool,
+    Call,
     Conditional,
     Expression,
     Gap,
@@ -30,10 +36,10 @@ from ecatspec.spec.language.ir import (
 from ecatspec.spec.language.scope import Scope, UnresolvedName, nodes_in
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterator
 
     from ecatspec.generators.mutants import Mutant
-    from ecatspec.model.moments import Meant
+    from ecatspec.model.moments import Meant, Meeting, World
     from ecatspec.model.terms import Term
     from ecatspec.spec.language.ir import Machine, Protocol, Update
 
@@ -42,6 +48,9 @@ Target = tuple[str, str]
 """A machine and an input of it."""
 _INSIDE: Final = frozenset({"own", "local", "event"})
 """Inputs that come from within the device only, from rules or by themselves."""
+_UNSURE: Final = frozenset({"can_hold", "holds", "pdo_bits"})
+"""Functions to which even a device has no answer of its own, for a place in a mapping that is
+empty or not there."""
 _OUTSIDE: Final = frozenset({"frame", "local", "write"})
 """Inputs that come when all that was given before is done."""
 
@@ -58,6 +67,8 @@ class Equivalents:
         self._solver = Solver(self._meaning.symbols)
         self._world = self._meaning.world()
         self._raisable = frozenset(raisable)
+        self._gaps_differ = True
+        """Whether it matters what a device does where the texts have a gap."""
         self._rows: dict[Target, tuple[Row, ...]] = {}
         for machine in built.machines.values():
             for source in machine.inputs:
@@ -66,6 +77,7 @@ class Equivalents:
         self._reached = {m.name: {m.initial} for m in built.machines.values()}
         self._live: dict[tuple[str, str], Rule] = {}
         self._held = self._held_at_first()
+        self._known = self._facts()
         self._explore()
         self._delivered_alone = all(
             DELIVER not in (given := [give.target for give in rule.gives]) or len(given) == 1
@@ -75,6 +87,7 @@ class Equivalents:
         self._resting = {m.name: self._rests_in(m) for m in built.machines.values()}
         self._forgetful = {m.name for m in built.machines.values() if self._forgets(m)}
         """Machines of which nobody can tell in which state they rest."""
+        self._met, self._further = Prover(with_guesses(built), meaning=self._meaning).met()
 
     def proved(self, mutant: Mutant) -> bool:
         """Tell whether a mutant is proved to do what the device does."""
@@ -84,6 +97,14 @@ class Equivalents:
             return self._same_rule(mutant)
         except UnresolvedName:  # it means something only where nobody looks here
             return False
+
+    def left_open(self, mutant: Mutant) -> bool:
+        """Tell whether a mutant is proved to do what the device does but where the texts end."""
+        self._gaps_differ = False
+        try:
+            return self.proved(mutant)
+        finally:
+            self._gaps_differ = True
 
     # --- what can happen --------------------------------------------------------------------------
 
@@ -109,6 +130,7 @@ class Equivalents:
                             self._reached[machine].add(row.target)
                         grown = True
                     grown |= self._learned(row, enabled, moment)
+                    self._known = self._facts()
 
     def _held_at_first(self) -> dict[str, set[bool]]:
         """Give the truths that variables hold at power-on, of those that nothing but rules sets."""
@@ -168,11 +190,8 @@ class Equivalents:
 
         Each leads to a state that does not depend on the one before, and nobody asks for that.
         """
-        built, every = self._built, set(machine.states)
-        others = (row for other in built.machines.values() for row in rows_of(other))
-        shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
-        asking = (*built.definitions.values(), *shown, *others)
-        if any(_asks_for(part, f"{machine.name}.state") for part in asking):
+        every = set(machine.states)
+        if self._asked_for(machine.name):
             return False
         return all(
             isinstance(row, Rule) and every <= set(row.sources) and row.target is not None
@@ -227,8 +246,8 @@ class Equivalents:
             for other, resting in self._resting.items()
         )
 
-    def _state(self, machine: str) -> Term:
-        state = self._world.get(f"{machine}.state")
+    def _state(self, machine: str, world: World | None = None) -> Term:
+        state = (world or self._world).get(f"{machine}.state")
         assert not isinstance(state, Content | Anything)
         return state
 
@@ -241,6 +260,19 @@ class Equivalents:
     def _moment(self, target: Target) -> Moment:
         return Moment(self._world, Scope(*target), ".".join(target), {})
 
+    def _ways(self, target: Target) -> Iterator[list[tuple[Moment, tuple[Term, ...]]]]:
+        """Yield the ways in which an input comes, with what is known then: vaguely, then as met."""
+        yield [(self._moment(target), self._before(target))]
+        if not any(RuleName(target[0], row.name) in self._further for row in self._rows[target]):
+            yield [
+                (
+                    meeting.moment,
+                    (*meeting.conditions, *self._before(_root(meeting))),
+                )
+                for meeting in self._met
+                if _target_of(meeting) == target
+            ]
+
     def _enabled(self, row: Row, moment: Moment) -> Term:
         return self._chains.enabled(row, self._machine(moment), moment)
 
@@ -249,7 +281,7 @@ class Equivalents:
 
     def _can(self, *terms: Term) -> bool:
         """Tell whether all can hold together; what the solver does not find out can."""
-        return self._solver.ask((*self._facts(), *terms)) is not Answer.NO
+        return self._solver.ask((*self._known, *terms)) is not Answer.NO
 
     def _differ(self, one: Meant, other: Meant) -> Term:
         """Give what holds where two values may differ."""
@@ -269,9 +301,21 @@ class Equivalents:
         target = machine, wrong.input
         if not self._comes(target):
             return True
+        if mutant.checks and self._unsure(wrong):
+            return False
         rows = self._rows[target]
         others = tuple(row for row in rows if row.name != name)
         return self._same(target, rows, (wrong, *others))
+
+    def _unsure(self, row: Rule) -> bool:
+        """Tell whether a guard may be neither true nor false to the device.
+
+        Of several such rows it takes the first one, and a wrong rule stands before the others.
+        """
+        names = definitions_in(self._built, row.guard)
+        parts = (row.guard, *(self._built.definitions[name].value for name in names))
+        calls = (node.function for node in nodes_in(parts) if isinstance(node, Call))
+        return not _UNSURE.isdisjoint(calls)
 
     def _same_definition(self, mutant: Mutant) -> bool:
         name = mutant.place.removeprefix(DEFINE)
@@ -293,8 +337,9 @@ class Equivalents:
                     continue
                 # what follows a frame is looked at later, in whatever state there is then
                 late = row.after is not None and name in definitions_in(self._built, row.after)
-                here = True if late else self._enabled(row, moment)
-                if self._can(here, self._unlike(old, new, moment)):
+                if late and self._can(self._unlike(old, new, moment)):
+                    return False
+                if not late and not self._same_in(row, target, old, new):
                     return False
             if any(a is not b for a, b in zip(rows, wrong, strict=True)) and not self._same(
                 target, rows, wrong
@@ -302,7 +347,31 @@ class Equivalents:
                 return False
         return True
 
+    def _same_in(self, row: Row, target: Target, old: Expression, new: Expression) -> bool:
+        """Tell whether two expressions are alike where a row takes its input."""
+        return any(
+            not any(
+                self._can(*known, self._enabled(row, moment), self._unlike(old, new, moment))
+                for moment, known in ways
+            )
+            for ways in self._ways(target)
+        )
+
     def _unlike(self, old: Expression, new: Expression, moment: Moment) -> Term:
+        """Give what holds where two expressions may differ; of the same alternatives in each."""
+        if old == new:
+            return False
+        if isinstance(old, Conditional) and isinstance(new, Conditional):
+            one, other = (self._meaning.truth(each.condition, moment) for each in (old, new))
+            thens = self._unlike(old.then, new.then, moment)
+            elses = self._unlike(old.otherwise, new.otherwise, moment)
+            return any_of(
+                (
+                    negated(equal(one, other)),
+                    all_of((one, thens)),
+                    all_of((negated(one), elses)),
+                )
+            )
         return self._differ(*(self._meaning.value(each, moment, None) for each in (old, new)))
 
     def _with(self, row: Row, name: str, value: Expression) -> Row:
@@ -313,7 +382,18 @@ class Equivalents:
 
     def _same(self, target: Target, rows: tuple[Row, ...], wrong: tuple[Row, ...]) -> bool:
         """Tell whether the first of the wrong rows that fires does what the right one does."""
-        moment = self._moment(target)
+        return any(
+            all(self._same_at(moment, known, rows, wrong) for moment, known in ways)
+            for ways in self._ways(target)
+        )
+
+    def _same_at(
+        self,
+        moment: Moment,
+        first: tuple[Term, ...],
+        rows: tuple[Row, ...],
+        wrong: tuple[Row, ...],
+    ) -> bool:
         right = [(row, self._enabled(row, moment)) for row in rows]
         ways: list[tuple[Row | None, Term]] = []
         before: list[Term] = []
@@ -323,12 +403,13 @@ class Equivalents:
             before.append(negated(here))
         ways.append((None, all_of(before)))
         known = [*right, (None, all_of(negated(here) for _, here in right))]
-        first = self._before(target)
         return not any(
             self._can(*first, here, there, self._unlike_effects(one, other, moment))
             for one, here in known
             for other, there in ways
-            if one is not other and not (one in wrong and other in rows)
+            if one is not other
+            and not (one in wrong and other in rows)
+            and (self._gaps_differ or not isinstance(one, Gap))
         )
 
     def _unlike_effects(self, one: Row | None, other: Row | None, moment: Moment) -> Term:
@@ -342,15 +423,48 @@ class Equivalents:
         goes_on = any(f.startswith(f"{machine}.") for r in (one, other) for f in _next(r))
         asked = goes_on or machine not in self._forgetful
         for source in self._built.machines[machine].states if asked else ():
-            if _target(one, source) != _target(other, source):
+            ends = _target(one, source), _target(other, source)
+            if ends[0] != ends[1] and not self._meet_again(machine, one, ends):
                 (value,) = self._numbers(machine, {source})
-                parts.append(equal(self._state(machine), value))
+                parts.append(equal(self._state(machine, moment.world), value))
         changes = [self._changed(row, moment) for row in (one, other)]
         for slot in changes[0].keys() | changes[1].keys():
             if not _alike(one, other, slot):
-                was = self._world.get(slot)
+                was = moment.world.get(slot)
                 parts.append(self._differ(*(change.get(slot, was) for change in changes)))
         return any_of(parts)
+
+    def _meet_again(self, machine: str, row: Row | None, states: tuple[str, str]) -> bool:
+        """Tell whether what a row gives next leads to one state from both, and nobody asks."""
+        given = (
+            (*row.gives, *(row.after.gives if row.after else ())) if isinstance(row, Rule) else ()
+        )
+        own = [give.target for give in given if give.target.startswith(f"{machine}.")]
+        if not own or self._asked_for(machine):
+            return False
+        rows = self._rows[machine, own[0].partition(".")[2]]
+        taking = [row for row in rows if not set(states).isdisjoint(row.sources)]
+        if any(
+            isinstance(row, Gap) or row.target is None or not set(states) <= set(row.sources)
+            for row in taking
+        ):
+            return False
+        moment = self._moment((machine, own[0].partition(".")[2]))
+        there = any_of(equal(self._state(machine), n) for n in self._numbers(machine, states))
+        return not self._can(there, *(negated(self._enabled(row, moment)) for row in taking))
+
+    def _asked_for(self, machine: str) -> bool:
+        """Tell whether any part of the texts asks for the state of a machine."""
+        return f"{machine}.state" in self._named
+
+    @cached_property
+    def _named(self) -> frozenset[str]:
+        """Give all names that the texts speak of."""
+        built = self._built
+        rows = (row for each in built.machines.values() for row in rows_of(each))
+        shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
+        parts = (*built.definitions.values(), *shown, *rows)
+        return frozenset(node.path for node in nodes_in(parts) if isinstance(node, Name))
 
     def _effects(self, row: Row | None) -> tuple[object, ...]:
         """Give what a row does beside its target and what it sets; its time limit is none of it."""
@@ -385,8 +499,21 @@ class Equivalents:
         for update in _updates(row):
             slot = _slot(update, moment.scope.machine or "")
             kind = self._meaning.kinds[slot]
-            changes[slot] = self._meaning.value(update.value, moment, kind)
+            meant = self._meaning.value(_taken(update.value), moment, kind)
+            open_ = isinstance(update.value, AnyValue)
+            changes[slot] = ANY if open_ and isinstance(meant, Content) else meant
         return changes
+
+
+def _target_of(meeting: Meeting) -> Target:
+    scope = meeting.moment.scope
+    return scope.machine or "", scope.input or ""
+
+
+def _root(meeting: Meeting) -> Target:
+    """Give the input from outside that led to another, or was it."""
+    scope = meeting.fired[0][1].scope if meeting.fired else meeting.moment.scope
+    return scope.machine or "", scope.input or ""
 
 
 def _alike(one: Row | None, other: Row | None, slot: str) -> bool:
@@ -398,6 +525,11 @@ def _alike(one: Row | None, other: Row | None, slot: str) -> bool:
 
 def _updates(row: Row | None) -> tuple[Update, ...]:
     return row.updates if isinstance(row, Rule) else ()
+
+
+def _taken(value: Expression) -> Expression:
+    """Give what the device takes for a number where the texts leave it open."""
+    return value.preferred if isinstance(value, AnyValue) and value.preferred else value
 
 
 def _slot(update: Update, machine: str) -> str:
@@ -420,11 +552,6 @@ def _chosen(value: Expression) -> Expression:
             return one if one == other else replace(value, then=one, otherwise=other)
         case _:
             return value
-
-
-def _asks_for(part: object, name: str) -> bool:
-    """Tell whether a part of the texts speaks of something by this name."""
-    return any(isinstance(node, Name) and node.path == name for node in nodes_in(part))
 
 
 def _next(row: Row | None) -> set[str]:

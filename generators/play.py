@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.case import (
     Happen,
+    Hurry,
     SetUpProcessData,
     StopOutputs,
     Wait,
@@ -57,6 +58,8 @@ def play(
                 words = None
             case Wait(microseconds=microseconds):
                 device.advance(microseconds / _SECOND)
+            case Hurry():
+                continue
             case Happen(event=event):
                 machine, _, name = event.partition(".")
                 device.happen(machine, name, {})

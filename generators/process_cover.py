@@ -15,8 +15,9 @@ from ecatspec.generators.case import (
     Wait,
     WriteOutputs,
     WriteRegister,
+    WriteRegisters,
 )
-from ecatspec.generators.process_data import image_size
+from ecatspec.generators.process_data import image_size, settings
 from ecatspec.model.esc import PROCESS_DATA
 from ecatspec.model.subdevice import power_on
 
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 _OUTPUTS, _INPUTS = PROCESS_DATA
 _MICROSECONDS = 25
 """Ticks of 40 ns in one microsecond."""
+_SOON = 1000
+"""Microseconds after the watchdog had to expire in virtual time, which is exact."""
 
 
 def process_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -47,6 +50,15 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
             off = WriteRegister(f"{name}_activation", {"enabled": 0})
             done: tuple[Stimulus, ...] = (off, _to(model, "INIT"), *way_to(model, "OP"))
             yield _case(model, f"disabled_{name}/{state}", done, state)
+        if len(used) > 1:
+            yield _case(model, f"disabled_both/{state}", (_both_off(model),), state)
+
+
+def _both_off(model: Model) -> WriteRegisters:
+    """Disable both SyncManagers by one write, which leaves what lies between as it is."""
+    _, inputs = settings(model, power_on(model), SetUpProcessData())
+    off = [WriteRegister(f"{name}_activation", {"enabled": 0}) for name in PROCESS_DATA]
+    return WriteRegisters((off[0], inputs.writes[0], off[1]))
 
 
 def _settings(model: Model, used: list[str]) -> Iterator[Case]:
@@ -66,8 +78,8 @@ def _settings(model: Model, used: list[str]) -> Iterator[Case]:
             "reversed": SetUpProcessData({name: {"direction": direction}}),
             "moved": SetUpProcessData({name: {"start": moved}}),
         }
-        for what, settings in wrong.items():
-            yield _refused(model, f"{what}_{name}", settings)
+        for what, set_up in wrong.items():
+            yield _refused(model, f"{what}_{name}", set_up)
     if len(used) > 1:
         both = SetUpProcessData(longer=dict.fromkeys(used, 2))
         yield _refused(model, "too_long_both", both)
@@ -117,12 +129,31 @@ def _watchdog(model: Model) -> Iterator[Case]:
     for what, register, patience in chosen:
         done = (register, WriteOutputs(), StopOutputs(), Wait(patience))
         yield _case(model, what, done, "OP")
+    yield from _longest_watchdog(model)
+    untriggered = SetUpProcessData({_OUTPUTS: {"watchdog_trigger": 0}})
+    up = (untriggered, _to(model, "SAFEOP"), WriteOutputs(), op, *expired)
+    yield _case(model, "watchdog_not_triggered", (*up, WriteOutputs()), "PREOP")
 
 
-def _watchdog_time(model: Model) -> int:
-    """Give the microseconds of the watchdog as the way up sets it."""
-    divider = model.protocol.registers["watchdog_divider"].reset
-    return (divider + 2) * WATCHDOG // _MICROSECONDS
+def _longest_watchdog(model: Model) -> Iterator[Case]:
+    """Yield a time so long that a wrong unit of it shows, looked at before and right after."""
+    divider = model.protocol.registers["watchdog_divider"].reset * 3 // 2
+    ticks = (1 << 8 * model.protocol.registers["watchdog_process_data"].size) - 1
+    chosen = (
+        WriteRegister("watchdog_divider", {"value": divider}),
+        WriteRegister("watchdog_process_data", {"time": ticks}),
+    )
+    time = _watchdog_time(model, divider, ticks)
+    early = time * 4 // 5
+    stopped = (WriteOutputs(), StopOutputs(), Wait(early), Wait(time - early + _SOON))
+    yield _case(model, "longest_watchdog", (*chosen, *stopped), "OP")
+
+
+def _watchdog_time(model: Model, divider: int | None = None, ticks: int = WATCHDOG) -> int:
+    """Give the microseconds of the watchdog, as the way up sets it or otherwise."""
+    if divider is None:
+        divider = model.protocol.registers["watchdog_divider"].reset
+    return (divider + 2) * ticks // _MICROSECONDS
 
 
 def _to(model: Model, state: str, *, acknowledge: bool = False) -> WriteRegister:

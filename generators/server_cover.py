@@ -149,9 +149,9 @@ def _by_right(model: Model) -> Iterator[Request]:
     for entry in [e for e in entries if e.read_states][:1]:
         for state in _without(entry.read_states):
             yield Request("upload_in_wrong_state", [upload(*_key(entry))], state=state)
-    read_only = [(e, _STATE) for e in entries if not is_written(e)][:1]
-    at_times = [(e, s) for e in entries if is_written(e) for s in _without(e.states)][:1]
-    for what, found in (("read_only", read_only), ("in_wrong_state", at_times)):
+    read_only = [(e, _STATE) for e in entries if not is_written(e)]
+    at_times = [(e, s) for e in entries if is_written(e) for s in _without(e.states)]
+    for what, found in (("read_only", read_only[:1]), ("in_wrong_state", at_times[:1])):
         for entry, state in found:
             value = other_sample(entry) or b"\1"
             begun = initiate(*_key(entry), len(value), b"")
@@ -159,6 +159,15 @@ def _by_right(model: Model) -> Iterator[Request]:
                 # a part of it would have a second fault, and either may be told
                 yield Request(f"download_{what}", [download(*_key(entry), value)], state=state)
             yield Request(f"download_{what}_begun", [begun], state=state)
+    for what, found in (("read_only", _sized(read_only)), ("in_wrong_state", _sized(at_times))):
+        for entry, state in found:
+            short = [download(*_key(entry), other_sample(entry)[:-1][: expedited_size(model)])]
+            yield Request(f"download_{what}_too_short", short, state=state)
+
+
+def _sized(found: Sequence[tuple[ObjectEntry, str]]) -> list[tuple[ObjectEntry, str]]:
+    """Give the first entry to which a value can be too short."""
+    return [(e, s) for e, s in found if size_of(e) > 1 and not size_varies(e)][:1]
 
 
 def _without(states: Sequence[str]) -> list[str]:

@@ -10,6 +10,7 @@ from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, way_t
 from ecatspec.generators.case import (
     NO_LIMITS,
     Happen,
+    Hurry,
     Probe,
     ReadRegister,
     Repeat,
@@ -171,7 +172,7 @@ def stimuli(
         st.tuples(known | states, st.booleans()).map(lambda d: request(d[0], acknowledge=d[1])),
         st.sampled_from([*mailbox_settings(model), SetUpProcessData()]),
         st.sampled_from([ReadRegister(name) for name in readable]),
-        st.sampled_from([WriteOutputs(), StopOutputs(), Probe(), SendSegments()]),
+        st.sampled_from([WriteOutputs(), StopOutputs(), Probe(), SendSegments(), Hurry()]),
         st.sampled_from([Wait(time) for time in _WAITS]),
         uploads(model, limits),
         downloads(model),

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, NoReturn, TypeAlias, assert_never
 from ecatspec.generators.case import (
     Case,
     Happen,
+    Hurry,
     Probe,
     ReadConfiguration,
     ReadRegister,
@@ -164,6 +165,8 @@ def _data_of(stimulus: Stimulus) -> dict[str, Data]:
             return {"do": "stop_outputs"}
         case Wait(microseconds):
             return {"do": "wait", "microseconds": microseconds}
+        case Hurry():
+            return {"do": "hurry"}
         case Happen(event):
             return {"do": "happen", "event": event}
         case _:
@@ -248,6 +251,8 @@ def _stimulus(given: _Given) -> Stimulus:
             made = StopOutputs()
         case "wait":
             made = Wait(given.number("microseconds", 0, _LONGEST_WAIT))
+        case "hurry":
+            made = Hurry()
         case "happen":
             made = Happen(given.text("event"))
         case _:
@@ -383,7 +388,9 @@ def _missing(stimulus: Stimulus, model: Model) -> Iterator[str]:
         case Happen(event):
             known = {f"{local.machine}.{local.input}" for local in model.locals}
             yield from _absent("local event", (event,), known)
-        case SendSegments() | Repeat() | Probe() | ReadConfiguration() | StopOutputs() | Wait():
+        case SendSegments() | Repeat() | Probe() | ReadConfiguration():
+            pass
+        case StopOutputs() | Wait() | Hurry():
             pass
         case _:
             assert_never(stimulus)

@@ -256,6 +256,14 @@ def _interruptions(model: Model, limits: Limits, target: ObjectEntry) -> Iterato
             "one segment beyond the announced size",
             [initiate(*key, 1, b""), segment_with(longer, toggle=0)],
         ),
+        "beyond_and_wrong_toggle": (
+            "a segment beyond the announced size whose toggle bit is wrong",
+            [initiate(*key, 1, b""), longer],
+        ),
+        "too_early_and_wrong_toggle": (
+            "last segment before the announced size, with a wrong toggle bit",
+            [begin, segment_with(one, last=1, toggle=1)],
+        ),
         "beyond_in_the_middle": (
             "more than announced before the last segment",
             [initiate(*key, piece, b""), first, second, three],

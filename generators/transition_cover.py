@@ -72,6 +72,7 @@ def wrong_settings(model: Model) -> tuple[Symbol, ...]:
             (f"{name}_reversed", mailbox_settings(model, {name: {"direction": direction}})),
             (f"{name}_empty", mailbox_settings(model, {name: {"length": 0}})),
             (f"{name}_too_short", mailbox_settings(model, {name: {"length": smallest - 1}})),
+            (f"{name}_shortest", mailbox_settings(model, {name: {"length": smallest}})),
             (f"{name}_moved", mailbox_settings(model, {name: {"start": start + smallest * 2}})),
         ]
     return tuple(found)

@@ -19,6 +19,7 @@ from ecatspec.generators.bringup import (
 from ecatspec.generators.case import (
     Case,
     Happen,
+    Hurry,
     Probe,
     ReadConfiguration,
     ReadRegister,
@@ -263,6 +264,10 @@ class _Walker:
         name, bits = self._dice.pick(self._ground.words)
         return (WriteOutputs({name: self._dice.below(1 << bits)}),)
 
+    def _hurry(self) -> _Stimuli:
+        """Do not wait for what outputs lead to before something else comes."""
+        return (Hurry(), *(self._command() or self._outputs()))
+
     def _stop_outputs(self) -> _Stimuli:
         return (StopOutputs(),)
 
@@ -443,6 +448,7 @@ _WEIGHTS: Final[Mapping[str, tuple[int, int, int, int]]] = {
     "misset_data": (1, 3, 1, 1),
     "command": (0, 1, 3, 12),
     "outputs": (1, 1, 3, 4),
+    "hurry": (0, 1, 1, 3),
     "stop_outputs": (0, 1, 1, 2),
     "wait": (1, 1, 2, 3),
     "befall": (1, 1, 2, 4),

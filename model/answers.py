@@ -39,7 +39,7 @@ STATIC: Final = frozenset(
     {
         "declared", "object_exists", "is_plain_variable", "readable", "writable", "range_known",
         "size_of", "size_varies", "object_code_of", "highest_subindex", "data_type_of",
-        "bit_length_of",
+        "bit_length_of", "complete_size",
     }
 )  # fmt: skip
 """What depends on the declared objects only."""
@@ -174,6 +174,10 @@ class Answers:
                 if not self._abstract and isinstance(values[2], Content):
                     number = self._number(meaning, values[2], f"number({label})")
                     self._ranges(values, number, answer, two, three)
+            case "pdo_bits":
+                holds(any_of((also("is_mapping", 1), equal(answer, 0))))
+            case "complete_in_range" if not self._abstract:
+                holds(_implies(_place(values, self._unbounded(), of_index=False), answer))
             case "number_of":
                 match values:
                     case (int(index), int(subindex)):
@@ -184,6 +188,11 @@ class Answers:
                 pass
         if name in STATIC and not self._abstract:
             self._table(name, values, answer)
+
+    def _unbounded(self) -> list[ObjectKey]:
+        """Give the entries from which on no entry of the object has a range."""
+        ends = dict(sorted(k for k, e in self._entries.items() if e.low is not None))
+        return [key for key in self._entries if key[1] > ends.get(key[0], -1)]
 
     def _bounded(self, key: ObjectKey, answer: Term) -> None:
         entry = self._entries.get(key)

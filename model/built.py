@@ -42,7 +42,8 @@ _STATIC: Final = frozenset({"declared", "object_exists", "dictionary_closed", "i
 def as_built(protocol: Protocol, choices: Mapping[str, str] | None = None) -> Protocol:
     """Give the texts of the device that goes one way wherever they leave it open.
 
-    `choices` go as given, others as the virtual SubDevice goes. The two behave alike.
+    `choices` go as given, others as the virtual SubDevice goes. The two behave alike: what is
+    stored once a frame was sent tells what the device holds, and the device has that already.
     """
     ways = {name: choice.alternatives[0].name for name, choice in protocol.choices.items()}
     ways |= choices or {}
@@ -50,13 +51,16 @@ def as_built(protocol: Protocol, choices: Mapping[str, str] | None = None) -> Pr
     pinned = replace(protocol, pins=pins, opened={})
     fold = _Fold(pinned)
     scopes = _scopes(pinned)
+    told = _told(pinned)
     return replace(
         pinned,
         machines={
             name: replace(
                 machine,
                 rules=tuple(
-                    r for rule in machine.rules if (r := fold.rule(name, rule)) is not None
+                    replace(r, stores=()) if f"{name}.{r.input}" in told else r
+                    for rule in machine.rules
+                    if (r := fold.rule(name, rule)) is not None
                 ),
             )
             for name, machine in pinned.machines.items()
@@ -86,6 +90,14 @@ def _scopes(protocol: Protocol) -> dict[str, Scope]:
                         found[definition.name] = Scope(machine.name, rule.input)
                         work.append(definition.value)
     return found
+
+
+def _told(protocol: Protocol) -> set[str]:
+    """Give the events that come only once a frame was sent."""
+    rules = [rule for machine in protocol.machines.values() for rule in machine.rules]
+    behind = {give.target for rule in rules if rule.after for give in rule.after.gives}
+    at_once = {give.target for rule in rules for give in rule.gives}
+    return behind - at_once - {later.target for rule in rules for later in rule.laters}
 
 
 class _Fold:

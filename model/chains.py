@@ -68,6 +68,8 @@ class Chains:
         }
         self._touched: dict[tuple[str, str], frozenset[str]] = {}
         self._beneath: dict[tuple[str, str], frozenset[RuleName]] = {}
+        self.cut: set[RuleName] = set()
+        """The rules that take inputs beyond where chains end that are too long."""
         self.moved_by_words = frozenset(
             slot
             for target in self._inputs
@@ -253,6 +255,33 @@ class Chains:
             elif len(now) < _DEEPEST:
                 chain = Chain(world, holds, now)
                 yield from self._apply(machine, row, moment, chain, arrival.key)
+            else:
+                self._cut_off(now)
+
+    def _cut_off(self, fired: Fired) -> None:
+        """Keep in mind which rules a chain leaves out that is not followed to its end.
+
+        They take what its last rule gives, and what others give that had more than that to give.
+        """
+        names = [name for name, _ in fired]
+        work = [name for name in names if name is names[-1] or len(self._given_by(name)) > 1]
+        while work:
+            name = work.pop()
+            taking = {
+                RuleName(target[0], row.name)
+                for give in self._given_by(name)
+                for target in self._targets(name.machine, give)
+                for row in self._rules[target]
+            }
+            work += taking - self.cut
+            self.cut |= taking
+
+    def _given_by(self, name: RuleName) -> tuple[Give, ...]:
+        rows = rows_of(self._protocol.machines[name.machine])
+        row = next(row for row in rows if row.name == name.name)
+        if isinstance(row, Gap):
+            return ()
+        return (*row.gives, *(row.after.gives if row.after else ()))
 
     def enabled(self, row: Rule | Gap, machine: Machine, moment: Moment) -> Term:
         """Give what holds where the machine is in a source of the rule, and its guard is true."""

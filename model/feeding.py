@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ecatspec.model.serving import Explanations
     from ecatspec.model.state import Event, RuleName, State, Step
 
-HELD = ("process_data.fed", "process_data.image")
-"""The variables that tell whether outputs are those that the device had last."""
+FED, HELD = "process_data.fed", "process_data.image"
+"""The variables that tell whether the device has outputs, and which it had last."""
 
 
 def fed(model: Model, candidate: Candidate, outputs: Iterable[Event], time: int) -> Candidate:
@@ -42,9 +42,10 @@ def fed(model: Model, candidate: Candidate, outputs: Iterable[Event], time: int)
 def _taken(model: Model, state: State, event: Event) -> tuple[tuple[Step, ...], int, bool]:
     """Give what a device may do with outputs, by when, and whether nothing is new in them."""
     steps = step(model, state, event)
-    held = tuple(state.slots[model.slots[name]] for name in HELD)
-    same = held == (True, event.parameters[IMAGE]) and all(
-        _same_words(model, state, taken.state) for taken in steps
+    fed = model.slots[FED]
+    same = state.slots[model.slots[HELD]] == event.parameters[IMAGE] and all(
+        taken.state.slots[fed] == state.slots[fed] and _same_words(model, state, taken.state)
+        for taken in steps
     )
     idle = all(taken.state == state for taken in steps)
     return steps, max(taken.within for taken in steps), same or idle

@@ -54,8 +54,8 @@ def _zeros(count: Value) -> Value:
 
 
 def _bit(number: Value, place: Value) -> Value:
-    if isinstance(number, int) and isinstance(place, int) and place >= 0:
-        return bool(number >> place & 1)
+    if isinstance(number, int) and isinstance(place, int):
+        return place >= 0 and bool(number >> place & 1)
     return UNKNOWN
 
 

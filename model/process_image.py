@@ -20,6 +20,8 @@ OUTPUTS, INPUTS = "output_assignment", "input_assignment"
 """The words that count the assigned PDOs."""
 _ENTRY = "pdo_entry"
 _BYTE = 8
+_HIGHEST = (1 << _BYTE) - 1
+"""The highest subindex that can be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,16 +162,16 @@ class ProcessImage:
         return next((name for name, indices in self.pdos.items() if pdo in indices), None)
 
     def _can_hold(self, index: Value, subindex: Value, value: Value) -> Value:
-        if not isinstance(value, bytes) or not isinstance(index, int) or subindex == 0:
+        if not isinstance(value, bytes) or not isinstance(index, int):
             return UNKNOWN
+        if subindex == 0 or not self.configures(index):
+            return False
         number = int.from_bytes(value, "little")
-        if number == 0:
-            return UNKNOWN  # an empty place, as some devices allow
         direction = self._direction(index)
+        if number == 0:
+            return False
         if direction is not None:
             return self._can_map(direction, number)
-        if index not in self.assignments.values():
-            return UNKNOWN
         if self._direction(number) != self._name(index):
             return False
         return self._exists((number, 0))
@@ -197,10 +199,15 @@ class ProcessImage:
         index, count = arguments
         if not isinstance(index, int) or not isinstance(count, int):
             return UNKNOWN
-        unknown = False
-        for subindex in range(1, count + 1):
+        if not self.configures(index):
+            return count == 0
+        unknown = count > _HIGHEST
+        for subindex in range(1, min(count, _HIGHEST) + 1):
             held = self._dictionary.known(environment, (index, subindex))
-            possible = self._can_hold(index, subindex, UNKNOWN if held is None else held)
+            if not held or not any(held):
+                unknown = True  # nothing in its place, as some devices allow
+                continue
+            possible = self._can_hold(index, subindex, held)
             if possible is False:
                 return False
             unknown = unknown or isinstance(possible, Pattern)
@@ -210,6 +217,8 @@ class ProcessImage:
         index, count = arguments
         if not isinstance(index, int) or not isinstance(count, int):
             return UNKNOWN
+        if self._direction(index) is None:
+            return 0
         total = 0
         for subindex in range(1, count + 1):
             held = self._dictionary.known(environment, (index, subindex))

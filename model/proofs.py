@@ -21,7 +21,7 @@ from ecatspec.model.moments import Moment
 from ecatspec.model.obligations import Finding, Kind, Obligation, Status, obligations
 from ecatspec.model.search import DEPTH, Search
 from ecatspec.model.state import RuleName
-from ecatspec.model.terms import Answer, Solver, Term, all_of, key_of, negated, two_of
+from ecatspec.model.terms import Answer, Solver, Term, all_of, any_of, key_of, negated, two_of
 from ecatspec.model.words import typed_words
 from ecatspec.spec.language.scope import Scope
 
@@ -47,18 +47,26 @@ class _Walk:
     unsure: set[str] = field(default_factory=set)
     fired: set[RuleName] = field(default_factory=set)
     findings: dict[_Place, Finding] = field(default_factory=dict)
+    met: list[Meeting] = field(default_factory=list)
+    cut: frozenset[RuleName] = frozenset()
 
 
 class Prover:
     """The proofs of one specification.
 
-    `samples` are objects with which the standard is tried, which has none of its own.
+    `samples` are objects with which the standard is tried, which has none of its own. With
+    `meaning` its symbols are those of a question that comes later.
     """
 
-    def __init__(self, protocol: Protocol, samples: tuple[ObjectEntry, ...] = ()) -> None:
+    def __init__(
+        self,
+        protocol: Protocol,
+        samples: tuple[ObjectEntry, ...] = (),
+        meaning: Meaning | None = None,
+    ) -> None:
         """Take the texts."""
         self.protocol = protocol
-        self.meaning = Meaning(protocol)
+        self.meaning = Meaning(protocol) if meaning is None else meaning
         self._samples = samples
         self._solver = Solver(self.meaning.symbols)
 
@@ -68,6 +76,17 @@ class Prover:
             found = self._judged(obligation)
             if found is not None:
                 yield found
+
+    def met(self) -> tuple[tuple[Meeting, ...], frozenset[RuleName]]:
+        """Give all inputs with what is known when they come, from states that can be reached.
+
+        The rules beside them take their inputs in further ways, which the walk did not go.
+        """
+        return tuple(self._walk.met), self._walk.cut
+
+    def unproved(self) -> set[str]:
+        """Give the properties that induction does not prove."""
+        return self._walk.broken | self._walk.unsure
 
     def _judged(self, obligation: Obligation) -> Finding | None:
         name = RuleName(obligation.group, obligation.name)
@@ -123,6 +142,8 @@ class Prover:
         walk = _Walk()
         world = self.meaning.world()
         names = sorted(taken)
+        before = {name: key_of(self.law(name, world)) for name in names}
+        spoken = {name: self._spoken(name) for name in names}
 
         def laws(of: World) -> tuple[Term, ...]:
             return tuple(self.law(name, of) for name in names)
@@ -136,10 +157,17 @@ class Prover:
             return after, laws(after)
 
         def check(at: World, conditions: tuple[Term, ...]) -> None:
-            for name in names:
-                after = self.law(name, at)
-                if name in walk.broken or key_of(after) == key_of(self.law(name, world)):
-                    continue
+            changed = {
+                name: after
+                for name in names
+                if name not in walk.broken
+                and (at.stamp != world.stamp or not spoken[name].isdisjoint(at.changed))
+                and key_of(after := self.law(name, at)) != before[name]
+            }
+            together = any_of(map(negated, changed.values()))
+            if self._solver.ask((*conditions, together)) is Answer.NO:
+                return
+            for name, after in changed.items():
                 answer = self._solver.ask((*conditions, negated(after)))
                 if answer is Answer.YES:
                     walk.broken.add(name)
@@ -167,12 +195,19 @@ class Prover:
                     check(at, conditions)
                 if not chain.gap:
                     check(chain.world, chain.conditions)
+        walk.cut = frozenset(chains.cut)
         return walk
 
     def law(self, name: str, world: World) -> Term:
         """Give a property in a world."""
         moment = Moment(world, Scope(), f"property {name}", {})
         return self.meaning.truth(self.protocol.properties[name].value, moment)
+
+    def _spoken(self, name: str) -> set[str]:
+        """Give the slots that a property asks for."""
+        asked = self.meaning.world()
+        self.law(name, asked)
+        return set(asked.base)
 
     def _unasked(self, world: World) -> Iterator[World]:
         """Yield the worlds after registers were written that no machine looks at."""
@@ -200,6 +235,7 @@ class Prover:
     def _met(self, walk: _Walk, meeting: Meeting) -> None:
         scope = meeting.moment.scope
         machine, source = scope.machine or "", scope.input or ""
+        walk.met.append(meeting)
         here = [term for _, term in meeting.rows]
         for kind, wrong in (
             (Kind.DETERMINISM, two_of(here)),
@@ -264,8 +300,7 @@ class Prover:
 
     def _property(self, obligation: Obligation) -> Finding:
         name = obligation.name
-        walk = self._walk
-        if name not in walk.broken | walk.unsure:
+        if name not in self.unproved():
             return Finding(obligation, Status.PROVED, ("by induction over all rules",))
         slots = self.meaning.symbols.inside(self.law(name, self.meaning.world()))
         search = Search(Meaning(self.protocol, abstract=False))

@@ -21,6 +21,7 @@ from ecatspec.generators.case import (
     NO_LIMITS,
     Case,
     Happen,
+    Hurry,
     SetUpProcessData,
     StopOutputs,
     Wait,
@@ -349,6 +350,14 @@ def test_the_watchdog_takes_op_away_only_in_its_time() -> None:
     assert run.session.oracle.al_states() == {"OP"}
     assert run.judge(case(StopOutputs(), Wait(2_500_000))).outcome is Outcome.PASS
     assert run.session.oracle.al_states() == {"SAFEOP"}
+
+
+def test_what_follows_a_hurry_is_looked_at_once() -> None:
+    up = tuple(word(name) for name in ("shutdown", "switch_on", "enable_operation"))
+    run = runner(VirtualSubDevice(REFERENCE))
+    for hurry, stopping in (((), False), ((Hurry(),), True)):
+        assert run.judge(case(*up, *hurry, word("quick_stop"))).outcome is Outcome.PASS
+        assert run.session.oracle.may_be("ds402", "QUICK_STOP_ACTIVE") is stopping
 
 
 def test_a_write_of_the_assignment_is_learned_and_forgotten() -> None:

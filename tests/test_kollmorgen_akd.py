@@ -67,6 +67,7 @@ def test_what_the_manual_does_not_say_stays_open(akd: Protocol) -> None:
         "drive_coupling",
         "information_support",
         "mailbox_address",
+        "mailbox_length",
         "mains_needed",
         "op_without_outputs",
         "other_protocols",

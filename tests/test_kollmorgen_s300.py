@@ -97,6 +97,7 @@ def test_what_the_extract_does_not_say_stays_open(s300: Protocol) -> None:
         "drive_release",
         "information_support",
         "mailbox_address",
+        "mailbox_length",
         "mains_needed",
         "op_without_outputs",
         "other_protocols",

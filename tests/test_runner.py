@@ -479,6 +479,7 @@ FOUND = {
         "SDO-11",
         "sdo_download_response",
     ): "server.py:135 the same, of a right that depends on a state",
+    ("SDO-11", "sdo_abort"): "local.py:113 the same, refused for the size of the value",
     ("SDO-13", "sdo_download_response"): "local.py:113 the size of a truth value is not looked at",
     ("SDO-13", "sdo_download_segment_response"): "local.py:113 the same, by segments",
     ("SDO-15", "sdo_download_response"): "local.py:100 min and max are not looked at",

@@ -465,6 +465,9 @@ int esc_watchdog_on(const struct esc *esc)
 
 int esc_watchdog_expires(struct esc *esc, uint32_t microseconds)
 {
+    if (!esc_watchdog_on(esc)) {
+        esc->watchdog_runs = 0;
+    }
     if (!esc->watchdog_runs || microseconds < esc->watchdog) {
         esc->watchdog -= esc->watchdog_runs ? microseconds : 0;
         return 0;

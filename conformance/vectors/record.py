@@ -73,6 +73,8 @@ class Recorder(Session):
         """What was written while time passed; None: time does not pass."""
         self._waiting = False
         self._unread = False
+        self._rests = True
+        """Whether it is waited for what a device may be busy with."""
         self.acknowledges = False
         """Whether what the device says of repeats is looked at too."""
         self._looks: list[Exchange] = []
@@ -143,6 +145,11 @@ class Recorder(Session):
 
     def _settle(self, *, unread: bool = False) -> None:
         self._unread = unread
+        if self._hurries:
+            self._rests = False
+            super()._settle(unread=unread)
+            self._rests = True
+            return
         for _ in range(_TRIES):
             self._rest()
             self._look(unread=unread)
@@ -163,7 +170,8 @@ class Recorder(Session):
                 raise RestlessError
 
     def _full(self) -> bool:
-        self._rest()  # what follows a message may take its time
+        if self._rests:
+            self._rest()  # what follows a message may take its time
         return super()._full()
 
     def _shows_early(self, before: Oracle, time: int, cycle: Cycle | None) -> bool:

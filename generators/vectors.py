@@ -53,7 +53,7 @@ class _Part(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True)
 
 
 class Write(_Part, frozen=True, tag_field="do", tag="write"):
-    """Write once. `counter` is the working counter; another one `refused`, or is a failure."""
+    """Write once. `counter` is the working counter; another one is `otherwise`, or a failure."""
 
     address: Address
     data: Hex
@@ -101,6 +101,16 @@ class Allowed(_Part, frozen=True):
     effect: Effect = "passes"
     atLeast: Length | None = None  # noqa: N815
 
+    def admits(self, data: bytes) -> bool:
+        """Tell whether the bytes are these; what follows them is not compared."""
+        value, mask = bytes.fromhex(self.value), bytes.fromhex(self.mask)
+        if self.atLeast is not None:
+            value = value[: max(len(data), self.atLeast)]
+        pairs = zip(data, value, mask, strict=False)
+        return len(data) >= len(value) and all(
+            not (seen ^ wanted) & sure for seen, wanted, sure in pairs
+        )
+
 
 class Read(_Part, frozen=True, tag_field="kind", tag="read"):
     """Memory that is read. Bytes that are none of `anyOf` are `otherwise`."""
@@ -145,6 +155,14 @@ class Step(_Part, frozen=True):
     expect: list[Expected] = []
     state: dict[Name, Name] = {}
     covers: list[Name] = []
+
+    @property
+    def can_end(self) -> bool:
+        """Whether a test may end here, since the device may go another way."""
+        parts: list[Input | Expected | Allowed | None] = [self.given, *self.expect]
+        parts += [allowed for each in self.expect for allowed in getattr(each, "anyOf", ())]
+        ways = ("refused", "otherwise", "none", "effect")
+        return any(getattr(part, way, None) == "ends" for part in parts for way in ways)
 
 
 # --- the file -------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import expected_fields, later_fields
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ecatspec.model.state import Output, State
     from ecatspec.spec.language.ir import Register
 
+_K = TypeVar("_K")
 _FEW: Final = 8
 """So many values of a field at most get a form each."""
 _MOST: Final = 64
@@ -113,7 +114,7 @@ def _undecided(model: Model, state: State, output: Output, unseen: str) -> set[s
     return environment.undecided
 
 
-def _combined(fields: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
+def _combined(fields: Mapping[_K, Value]) -> Iterator[dict[_K, Value]]:
     """Yield the fields with one value where there are few, all combinations of them."""
     few = {name: found for name, value in fields.items() if (found := _few(value)) is not None}
     count = 1
@@ -236,13 +237,11 @@ def register_forms(model: Model, state: State, registers: Iterable[Register]) ->
         for way in model.protocol.choices[choice].alternatives:
             yield from register_forms(model, state.having(slot, way.name), every)
         return
-    names = {f"{low} {width}": value for (low, width), value in fields.items()}
     whole = (1 << (end - start) * _BYTE) - 1
-    for some in _combined(names):
+    for some in _combined(fields):
         value = known = 0
         free = []
-        for name, part in some.items():
-            low, width = map(int, name.split())
+        for (low, width), part in some.items():
             mask = (1 << width) - 1 << low
             known |= mask
             number = concrete(part)

@@ -155,6 +155,7 @@ def test_what_a_test_says_of_itself() -> None:
         ends = '"ends"' in msgspec.json.encode(test).decode()
         assert (test.result == "acceptable") is ends is (OTHER_WAYS in test.flags)
         assert set(test.flags) <= found.notes.keys()
+        assert test.clauses
         assert set(test.clauses) <= found.clauses.keys()
         assert {rule for step in test.steps for rule in step.covers} <= found.rules.keys()
     kinds = {type(e) for test in tests.values() for step in test.steps for e in step.expect}

@@ -12,7 +12,7 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import UserError, going, load, nearest, pinned
 from ecatspec.conformance.runner import SHAPE, WALK, WALKS
 from ecatspec.conformance.session import Deviation
-from ecatspec.conformance.vectors.record import COUNTER, Recorder, RestlessError
+from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
 from ecatspec.conformance.version import version
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
@@ -40,6 +40,7 @@ from ecatspec.generators.vectors import (
     Guarantee,
     Head,
     Note,
+    Read,
     Spec,
     Test,
 )
@@ -52,15 +53,15 @@ from ecatspec.model.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from typing import IO
 
     from ecatspec.conformance.runner import Progress
     from ecatspec.generators.finite_cover import Complete
+    from ecatspec.generators.vectors import Step
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Protocol
 
-_LENGTH: Final = "length"
 _BYTE: Final = 8
 OTHER_WAYS: Final = "other_ways"
 _OTHER_WAYS: Final = (
@@ -215,12 +216,11 @@ class Export:
         self.number += 1
         steps = self._recorder.steps
         flags = [case.flag] if case.flag else []
-        ends = any(_ends(expected) for step in steps for expected in (step.given, *step.expect))
-        if ends:
+        if ends := any(step.can_end for step in steps):
             flags.append(OTHER_WAYS)
         self.flags |= set(flags)
         rules = dict.fromkeys(rule for step in steps for rule in step.covers)
-        clauses = dict.fromkeys(c for rule in rules for c in self._rules().get(rule, []))
+        clauses = {c for rule in rules for c in self._rules().get(rule, [])}
         return Test(
             tcId=self.number,
             id=case.name,
@@ -230,8 +230,20 @@ class Export:
             flags=flags,
             needs=sorted({s.event for s in case.stimuli if isinstance(s, Happen)}),
             requires=requires,
-            clauses=sorted(clauses),
+            clauses=sorted(clauses or self._clauses_of_reads(steps)),
         )
+
+    def _clauses_of_reads(self, steps: Iterable[Step]) -> set[str]:
+        """Give the clauses of the registers that are read: of what no rule has led to."""
+        read = {
+            name
+            for step in steps
+            for e in step.expect
+            if isinstance(e, Read)
+            for name in e.symbol.split()
+        }
+        registers = self.protocol.registers
+        return {c for name in read & registers.keys() for c in registers[name].clauses}
 
     def _tell(self, number: int, total: int, what: str) -> None:
         if self.progress is not None:
@@ -244,6 +256,7 @@ class Export:
         protocol = self.protocol
         rules = self._rules()
         cited = {clause for clauses in rules.values() for clause in clauses}
+        cited |= {c for register in protocol.registers.values() for c in register.clauses}
         pins = {name: pin.alternative for name, pin in protocol.pins.items()}
         notes = {name: note for name, note in NOTES.items() if name in self.flags}
         if OTHER_WAYS in self.flags:
@@ -296,7 +309,7 @@ class Export:
             mailboxFull=Area(register.address, register.size),
             mailboxFullMask=mask.hex(),
             mailboxHead=self._model.codec.size(MAILBOX),
-            mailboxLength=self._place(_LENGTH)[0],
+            mailboxLength=self._place(LENGTH)[0],
             mailboxCounter=counter,
             mailboxCounterMask=counter_mask,
             requestUs=self._model.parameter("request_timeout"),
@@ -330,13 +343,6 @@ def _rests_on_configuration(case: Case) -> bool:
     """Tell whether a case shows something else where other process data are assigned."""
     kinds = (SetUpProcessData, WriteOutputs, ReadConfiguration)
     return case.layer != "sdo" or any(isinstance(stimulus, kinds) for stimulus in case.stimuli)
-
-
-def _ends(part: object) -> bool:
-    """Tell whether there is another way at a part of a step."""
-    ways = [getattr(part, name, None) for name in ("refused", "otherwise", "none")]
-    ways += [allowed.effect for allowed in getattr(part, "anyOf", ())]
-    return "ends" in ways
 
 
 def export(wanted: Wanted, form: str, out: IO[bytes], progress: Progress | None = None) -> Export:

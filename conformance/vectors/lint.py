@@ -169,7 +169,7 @@ class _Linter:
         if events != test.needs:
             what = f"the steps raise {', '.join(events) or 'nothing'}"
             yield f"{place}.needs", what, "name these events in order"
-        ends = any(map(_ends, test.steps))
+        ends = any(step.can_end for step in test.steps)
         if ends != (test.result == "acceptable"):
             what = f"{test.result}, and {'a' if ends else 'no'} step can end the test"
             yield f"{place}.result", what, "`acceptable` is a test that can end early"
@@ -301,11 +301,3 @@ def _unknown(
 
 def _another(symbol: str, frame: str) -> tuple[str, str]:
     return f"{symbol}, and the bytes are {frame}", "name the layout of the bytes"
-
-
-def _ends(step: Step) -> bool:
-    """Tell whether a test may end in a step."""
-    parts: list[Input | Expected | Allowed | None] = [step.given, *step.expect]
-    parts += [allowed for each in step.expect for allowed in getattr(each, "anyOf", ())]
-    ways = ("refused", "otherwise", "none", "effect")
-    return any(getattr(part, way, None) == "ends" for part in parts for way in ways)

@@ -30,6 +30,7 @@ from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.forms import Form, input_form, message_forms, register_forms
 from ecatspec.model.serving import is_alive, is_idle
 from ecatspec.model.shown import decided, process_area
+from ecatspec.model.values import bits_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -48,11 +49,12 @@ if TYPE_CHECKING:
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
 _STATUS, _ACKNOWLEDGE = f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control"
-COUNTER: Final = "counter"
+COUNTER, LENGTH = "counter", "length"
 _BYTE: Final = 8
 _KEPT: Final = 4096
 """So many expectations are kept, since many tests begin alike."""
 _LONGEST: Final = 3_600_000_000
+"""Microseconds after which a device that is still busy counts as never coming to rest."""
 _TRIES: Final = 64
 """So often it is waited and looked before a device counts as never coming to rest."""
 
@@ -247,7 +249,7 @@ class Recorder(Session):
 
     def _expected(self, before: Oracle, exchange: Exchange) -> _Made:
         status = self.model.protocol.registers[_STATUS]
-        if exchange.address == status.address and self._looks and exchange.working_counter:
+        if exchange.address == status.address and exchange.working_counter:
             raw = int.from_bytes(exchange.data[: status.size], "little")
             full = bool(field_of(self.model.protocol, _STATUS, "full", raw))
             if self._unread:
@@ -308,7 +310,7 @@ class Recorder(Session):
         size = len(exchange.data) if message is None else self._size(exchange.data)
         data = exchange.data[:size]
         allowed = self._allowed_mail(before, exchange, data)
-        if not any(each.effect == "passes" and _matches(each, data) for each in allowed):
+        if not any(each.effect == "passes" and each.admits(data) for each in allowed):
             allowed.insert(0, self.allowed(Form(size, int.from_bytes(data, "little"))))
         again = any(c.outbox and c.outbox[0].again is not None for c in found)
         none = self._effect(before, [self._status_read(exchange, full=False)])
@@ -355,8 +357,9 @@ class Recorder(Session):
 
     def _size(self, data: bytes) -> int:
         """Give the bytes of a message: what follows is never compared."""
-        head = self.model.codec.size(MAILBOX)
-        return min(len(data), head + int.from_bytes(data[:2], "little"))
+        low, width = self.model.codec.place(MAILBOX, LENGTH)
+        announced = bits_of(int.from_bytes(data, "little"), low, low + width - 1)
+        return min(len(data), self.model.codec.size(MAILBOX) + announced)
 
     def _status_read(self, exchange: Exchange, *, full: bool) -> Exchange:
         register = self.model.protocol.registers[_STATUS]
@@ -515,13 +518,6 @@ def _at_rest(candidates: Iterable[Candidate]) -> frozenset[object]:
     """Give explanations without their times."""
     return frozenset(
         (c.state, c.outbox, c.loose, frozenset(p.target() for p in c.inbox)) for c in candidates
-    )
-
-
-def _matches(allowed: Allowed, data: bytes) -> bool:
-    value, mask = bytes.fromhex(allowed.value), bytes.fromhex(allowed.mask)
-    return len(data) >= len(value) and all(
-        not (seen ^ wanted) & sure for seen, wanted, sure in zip(data, value, mask, strict=False)
     )
 
 

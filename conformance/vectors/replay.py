@@ -306,13 +306,5 @@ def _number(data: bytes) -> int:
 
 
 def _found(every: Iterable[Allowed], data: bytes) -> Allowed | None:
-    """Give the first that the bytes are; what follows them is not compared."""
-    for allowed in every:
-        value, mask = bytes.fromhex(allowed.value), bytes.fromhex(allowed.mask)
-        if allowed.atLeast is not None:
-            value = value[: max(len(data), allowed.atLeast)]
-        part = data[: len(value)]
-        wrong = (_number(part) ^ _number(value)) & _number(mask[: len(value)])
-        if len(part) == len(value) and not wrong:
-            return allowed
-    return None
+    """Give the first that the bytes are."""
+    return next((allowed for allowed in every if allowed.admits(data)), None)

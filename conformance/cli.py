@@ -506,7 +506,7 @@ def diff(
     "choices",
     multiple=True,
     metavar="NAME=WAY",
-    help="The device goes this way where its text leaves a choice open.",
+    help="The device goes this way where its text leaves a choice open, or meets a condition.",
 )
 @click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias, assert_never
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.model.compiled import Model
 from ecatspec.spec.language.ir import (
@@ -48,6 +49,8 @@ if TYPE_CHECKING:
     )
 
 SUFFIX = ".ecs"
+TRUTHS: Final[Mapping[str, bool]] = MappingProxyType({"false": False, "true": True})
+"""How users say that a device meets a condition, or does not."""
 _MICROSECONDS = 1_000_000
 _MAILBOXES = 2
 _ALIGNMENT = 16
@@ -126,6 +129,13 @@ def going(protocol: Protocol, ways: Mapping[str, str]) -> Protocol:
     """
     firsts = {name: choice.alternatives[0].name for name, choice in protocol.choices.items()}
     return pinned(protocol, firsts | dict(ways))
+
+
+def assuming(protocol: Protocol, truths: Mapping[str, str]) -> Protocol:
+    """Give the device that meets conditions, or does not, as `truths` say."""
+    conditions = protocol.conditions
+    other = {n: replace(conditions[n], assumed=TRUTHS[truth]) for n, truth in truths.items()}
+    return replace(protocol, conditions=dict(conditions) | other)
 
 
 def nearest(what: str, name: str, known: Sequence[str]) -> UserError:

@@ -58,9 +58,9 @@ _SLOWEST = 500_000
 """Microseconds between two writes of the same process data at most."""
 _OFTEN = {True: 2, False: 4}
 """Writes of process data in the time of the watchdog, in virtual and in real time: one is exact."""
-_AL = ("al_status", "al_status_code")
+AL = ("al_status", "al_status_code")
 _MAIL = (f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control")
-WATCHED = (*_AL, *_MAIL)
+WATCHED = (*AL, *_MAIL)
 """The registers that are read after every stimulus: what the device shows."""
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
@@ -308,7 +308,7 @@ class Session:
 
     def _look(self, *, unread: bool = False) -> None:
         # the code is judged only once the state is known, so the state comes first
-        self._read_registers(*_AL)
+        self._read_registers(*AL)
         self._read_inputs()
         if unread:
             self._full()
@@ -345,9 +345,9 @@ class Session:
             mismatch = self.oracle.unreadable(names[0], exchange)
             if mismatch is not None:
                 raise Deviation(mismatch)
-        told = self.oracle.reasons() if names == _AL else ()
+        told = self.oracle.reasons() if names == AL else ()
         self._observe(exchange)
-        if names == _AL:
+        if names == AL:
             for reason in self.oracle.reasons():
                 if reason not in told:
                     self._say("reason", reason)

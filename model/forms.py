@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Register
 
 _K = TypeVar("_K")
-_FEW: Final = 8
-"""So many values of a field at most get a form each."""
+_FEW: Final = 32
+"""So many blocks of values of a field at most get a form each."""
 _MOST: Final = 64
 """Forms of one message at most; beyond that fields are free."""
 _BYTE: Final = 8
+_ALL: Final = -1
+"""All bits of a number."""
 _SOME: Final = 16
 """Bytes of a content that is long enough for no layout to treat it specially."""
 _ENDS: Final = (b"\0", b"\xff")
@@ -126,13 +128,44 @@ def _combined(fields: Mapping[_K, Value]) -> Iterator[dict[_K, Value]]:
         yield {**fields, **dict(zip(few, values, strict=True))}
 
 
-def _few(value: Value) -> list[int] | None:
+def _few(value: Value) -> list[Value] | None:
+    """Give the numbers as blocks in which the lowest bits may be anything, if they are few."""
     if not isinstance(value, Pattern) or value.ranges is None:
         return None
-    if sum(high - low + 1 for low, high in value.ranges) > _FEW:
-        return None
-    every = [number for low, high in value.ranges for number in range(low, high + 1)]
-    return [number for number in every if number != value.excluded]
+    found: list[Value] = []
+    for span in value.ranges:
+        for low, high in _around(span, value.excluded):
+            for block in _blocks(low, high):
+                if len(found) == _FEW:
+                    return None
+                first, last = block
+                found.append(first if first == last else Pattern(ranges=(block,)))
+    return found
+
+
+def _around(span: tuple[int, int], excluded: int | None) -> tuple[tuple[int, int], ...]:
+    low, high = span
+    if excluded is None or not low <= excluded <= high:
+        return (span,)
+    return (low, excluded - 1), (excluded + 1, high)
+
+
+def _blocks(low: int, high: int) -> Iterator[tuple[int, int]]:
+    """Yield the numbers as blocks of 2^n that begin at a multiple of 2^n."""
+    while low <= high:
+        size = low & -low or 1 << high.bit_length()
+        while low + size - 1 > high:
+            size >>= 1
+        yield low, low + size - 1
+        low += size
+
+
+def _loose(value: Pattern) -> int:
+    """Give the bits of a number that may be anything: those of a block, or all."""
+    if value.ranges is None or len(value.ranges) > 1:
+        return _ALL
+    (block,) = value.ranges
+    return block[0] ^ block[1] if [block] == [*_blocks(*block)] else _ALL
 
 
 def _is_bytes(value: Value) -> bool:
@@ -198,8 +231,9 @@ def _unsaid(
     """Give the bits of a field that may be anything, as far as it is as long as chosen."""
     content = chosen[name]
     if not isinstance(content, bytes):
-        bits = model.codec.bits(frame, name)
-        return bits if bits is not None else _changed(model, frame, chosen, name, (0, -1))
+        loose = _loose(value)
+        bits = model.codec.bits(frame, name) if loose == _ALL else None
+        return bits or _changed(model, frame, chosen, name, (0, loose))
     known = bytes(len(content))
     if value.content is not None:
         mask = value.mask or b"\xff" * len(value.content)
@@ -246,7 +280,7 @@ def register_forms(model: Model, state: State, registers: Iterable[Register]) ->
             known |= mask
             number = concrete(part)
             if isinstance(part, Pattern):
-                free.append(mask)
+                free.append(_loose(part) << low & mask)
             if isinstance(number, int):
                 value |= number << low & mask
         unsaid = whole & ~known

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import UserError, going, load, nearest, pinned
+from ecatspec.conformance.devices import TRUTHS, UserError, assuming, going, load, nearest, pinned
 from ecatspec.conformance.runner import SHAPE, WALK, WALKS
 from ecatspec.conformance.session import Deviation
 from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
@@ -106,6 +106,8 @@ class Export:
     _model: Model = field(init=False)
     _recorder: Recorder = field(init=False)
     _ways: dict[str, str] = field(default_factory=dict)
+    _truths: dict[str, str] = field(default_factory=dict)
+    """The conditions that the device is known to meet, or not."""
     _locals: frozenset[str] = frozenset()
     _objects: dict[ObjectKey, bytes] = field(default_factory=dict)
     _cited: dict[str, list[str]] = field(default_factory=dict)
@@ -113,12 +115,12 @@ class Export:
     def __post_init__(self) -> None:
         """Read the texts."""
         protocol = load(self.wanted.device, self.wanted.mailbox)
+        known = _ways_at(protocol)
         for name, way in self.wanted.choices.items():
-            if name not in protocol.choices:
-                raise nearest("choice", name, tuple(protocol.choices))
-            ways = tuple(each.name for each in protocol.choices[name].alternatives)
-            if way not in ways:
-                raise nearest(f"way at {name}", way, ways)
+            if name not in known:
+                raise nearest("choice", name, tuple(known))
+            if way not in known[name]:
+                raise nearest(f"way at {name}", way, known[name])
             if name in protocol.pins and protocol.pins[name].alternative != way:
                 text = protocol.pins[name].alternative
                 raise UserError(f"the text pins {name} = {text}; leave out --choice {name}={way}")
@@ -126,10 +128,12 @@ class Export:
         for name in self.wanted.only:
             if name not in layers:
                 raise nearest("layer", name, tuple(protocol.machines))
-        self.protocol = pinned(protocol, self.wanted.choices)
+        given = self.wanted.choices
+        self.protocol = pinned(protocol, {n: w for n, w in given.items() if n in protocol.choices})
         self._model = Model(self.protocol)
         self._model.dictionary.close()
-        device = going(self.protocol, SHAPE)
+        self._truths = {n: way for n, way in given.items() if n in protocol.conditions}
+        device = assuming(going(self.protocol, SHAPE), self._truths)
         description = described(device)
         oracle = Oracle(self._model)
         oracle.raised = description.locals
@@ -254,9 +258,9 @@ class Export:
     def head(self) -> Head:
         """Give the head of the file; it counts the tests that were given so far."""
         protocol = self.protocol
-        rules = self._rules()
+        rules = dict(self._rules())
+        rules |= {each.name: sorted(each.clauses) for each in protocol.registers.values()}
         cited = {clause for clauses in rules.values() for clause in clauses}
-        cited |= {c for register in protocol.registers.values() for c in register.clauses}
         pins = {name: pin.alternative for name, pin in protocol.pins.items()}
         notes = {name: note for name, note in NOTES.items() if name in self.flags}
         if OTHER_WAYS in self.flags:
@@ -278,7 +282,7 @@ class Export:
             notes={name: Note(name.replace("_", " "), notes[name]) for name in sorted(notes)},
             guarantee=self.guarantees,
             choices=dict(sorted(pins.items())),
-            open={n: way for n, way in sorted(self._ways.items()) if n not in pins},
+            open={n: w for n, w in sorted((self._ways | self._truths).items()) if n not in pins},
             config=self._config(),
             rules=rules,
             clauses={
@@ -337,6 +341,13 @@ class Export:
                         allowed = self._recorder.allowed(form)
                         found[allowed.value, allowed.mask] = allowed
         return list(found.values())
+
+
+def _ways_at(protocol: Protocol) -> dict[str, tuple[str, ...]]:
+    """Give what may be pinned: choices, and conditions that a device is known to meet or not."""
+    choices = protocol.choices.values()
+    ways = {choice.name: tuple(each.name for each in choice.alternatives) for choice in choices}
+    return ways | dict.fromkeys(protocol.conditions, tuple(TRUTHS))
 
 
 def _rests_on_configuration(case: Case) -> bool:

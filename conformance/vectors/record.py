@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
-from ecatspec.conformance.session import NOTHING, Session
+from ecatspec.conformance.session import AL, NOTHING, Session
 from ecatspec.generators.case import Happen
 from ecatspec.generators.vectors import (
     Allowed,
@@ -77,6 +77,8 @@ class Recorder(Session):
         self._unread = False
         self._rests = True
         """Whether it is waited for what a device may be busy with."""
+        self._peeks = False
+        """Whether what is seen is not believed: whatever may be seen goes on."""
         self.acknowledges = False
         """Whether what the device says of repeats is looked at too."""
         self._looks: list[Exchange] = []
@@ -152,12 +154,34 @@ class Recorder(Session):
             super()._settle(unread=unread)
             self._rests = True
             return
+        self._peek()
         for _ in range(_TRIES):
             self._rest()
             self._look(unread=unread)
             if self.oracle.settled(self.time, unread=unread):
                 return
         raise RestlessError
+
+    def _peek(self) -> None:
+        """Look at once too, where a device may be busy: it may be wrong for a moment only.
+
+        All that may be seen goes on, since a slower device shows it later.
+        """
+        time = self.time
+        if self.oracle.open_until(time) > time or self.oracle.busy_until(time) == time:
+            return
+        registers = [self.model.protocol.registers[name] for name in AL]
+        start = registers[0].address
+        spans = [(start, registers[-1].address + registers[-1].size - start)]
+        if (area := self.oracle.process_area(DATA_IN)) is not None:
+            spans.append(area)
+        self._peeks = True
+        for address, length in spans:
+            counter, data = self.adapter.read(address, length)
+            made = self._expected(self.oracle, self._exchange(address, data, counter))
+            if isinstance(made.expected, Read) and _tells(made.expected):
+                self._draft.expect.append(made.expected)
+        self._peeks = False
 
     def _rest(self) -> None:
         """Wait until nothing is left that a device may be busy with."""
@@ -274,13 +298,14 @@ class Recorder(Session):
         """Give what `make` gives; where the device rests it depends on its state alone."""
         found = before.expanded(exchange.time)
         self._besides = {}
-        if any(p.since <= exchange.time for c in found for p in c.inbox):
+        if not self._peeks and any(p.since <= exchange.time for c in found for p in c.inbox):
             return _Made(make(before, exchange), tuple(self._besides.items()))
         key = (
             frozenset((c.state, c.outbox, c.loose, len(c.inbox), c.last, c.ready) for c in found),
             exchange.span(),
             exchange.data,
             exchange.working_counter,
+            self._peeks,
         )
         if key not in self._kept:
             if len(self._kept) >= _KEPT:
@@ -450,7 +475,7 @@ class Recorder(Session):
             what = None if form.least is not None else effect(form, raw)
             if what is None:
                 if form.free:  # what fits together is not known
-                    allow(form, raw, form.open_bits, "ends")
+                    allow(form, raw, form.open_bits, "passes" if self._peeks else "ends")
                 continue
             parts = [mask & ~unseen for mask in form.free if mask & ~unseen]
             passing = self._indifferent(form, raw, parts, what, effect)
@@ -495,13 +520,20 @@ class Recorder(Session):
         for exchange in exchanges:
             if other.observe(exchange) is not None:
                 return None
-        if _alike(other.candidates) == _alike(self.oracle.candidates):
+        if self._peeks or _alike(other.candidates) == _alike(self.oracle.candidates):
             return "passes"
         possible = self._possible(self.oracle, exchanges[-1]) if self.model.own else {}
         if _at_rest(other.candidates) <= _at_rest(possible):
-            self._besides = {**other.candidates, **self._besides}
+            self._go_on_with(other.candidates)
             return "passes"
         return "ends"
+
+    def _go_on_with(self, explanations: Explanations) -> None:
+        known = {_bare(c) for c in (*self._besides, *self.oracle.candidates)}
+        for candidate, history in explanations.items():
+            # which message was read last matters where it may be asked for again
+            if self.acknowledges or _bare(candidate) not in known:
+                self._besides.setdefault(candidate, history)
 
 
 def _allowed(size: int, raw: int, free: int, effect: Effect, least: int | None = None) -> Allowed:
@@ -511,7 +543,16 @@ def _allowed(size: int, raw: int, free: int, effect: Effect, least: int | None =
 
 
 def _alike(candidates: Iterable[Candidate]) -> frozenset[Candidate]:
-    return frozenset(replace(candidate, last=None) for candidate in candidates)
+    return frozenset(map(_bare, candidates))
+
+
+def _bare(candidate: Candidate) -> Candidate:
+    return replace(candidate, last=None)
+
+
+def _tells(expected: Read) -> bool:
+    """Tell whether there are bytes that are not allowed."""
+    return all(int(allowed.mask, 16) for allowed in expected.anyOf)
 
 
 def _at_rest(candidates: Iterable[Candidate]) -> frozenset[object]:

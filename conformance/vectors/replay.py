@@ -109,7 +109,8 @@ class Player:
         fault: _Fault,
         outcome: Outcome | None = None,
     ) -> Verdict:
-        cited = tuple(dict.fromkeys(c for rule in rules for c in self.head.rules.get(rule, [])))
+        names = (*rules, *fault.symbol.split())
+        cited = tuple(dict.fromkeys(c for name in names for c in self.head.rules.get(name, [])))
         clauses = cited or tuple(test.clauses)
         levels = {self.head.clauses[name].level for name in clauses if name in self.head.clauses}
         blames = "must" in levels or not levels

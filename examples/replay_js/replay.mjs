@@ -35,9 +35,9 @@ function find(anyOf, data) {
 }
 
 /** Goes on, ends the test or fails it: what an observation means. */
-function take(what, expected, seen) {
+function take(what, expected, seen, symbol = "") {
   if (what === "ends") throw new End();
-  if (what !== "passes") throw new Fault(`expected ${expected}, seen ${seen}`);
+  if (what !== "passes") throw Object.assign(new Fault(`expected ${expected}, seen ${seen}`), { symbol });
 }
 
 class Player {
@@ -68,7 +68,8 @@ class Player {
     } catch (error) {
       if (error instanceof End) return { outcome: "ended early" };
       if (!(error instanceof Fault)) throw error;
-      const cited = new Set(covers.flatMap((rule) => this.vectors.rules[rule] ?? []));
+      const names = [...covers, ...(error.symbol?.split(" ") ?? [])];
+      const cited = new Set(names.flatMap((name) => this.vectors.rules[name] ?? []));
       const clauses = cited.size ? [...cited] : test.clauses ?? [];
       const levels = clauses.map((name) => this.vectors.clauses[name]?.level).filter(Boolean);
       const lenient = !(error instanceof Death) && levels.length && !levels.includes("must");
@@ -96,7 +97,7 @@ class Player {
       await this.device.local(event);
     } else if (kind === "write") {
       const seen = await this.device.write(address, bytes(data));
-      if (seen !== counter) take(otherwise, `working counter ${counter} for ${symbol}`, seen);
+      if (seen !== counter) take(otherwise, `working counter ${counter} for ${symbol}`, seen, symbol);
     } else {
       const whole = Buffer.alloc(this.config.mailboxOut.length);
       bytes(data).copy(whole);
@@ -139,13 +140,13 @@ class Player {
 
   async read({ address, length, symbol, anyOf, refused, otherwise }) {
     const data = await this.device.read(address, length);
-    if (!data) return take(refused, words(symbol, anyOf), "working counter 0");
+    if (!data) return take(refused, words(symbol, anyOf), "working counter 0", symbol);
     this.compare(anyOf, data, symbol, otherwise);
   }
 
   compare(anyOf, data, symbol, otherwise) {
     const found = find(anyOf, data);
-    take(found ? found.effect ?? "passes" : otherwise, words(symbol, anyOf), data.toString("hex"));
+    take(found ? found.effect ?? "passes" : otherwise, words(symbol, anyOf), data.toString("hex"), symbol);
   }
 
   async full({ full, otherwise }) {

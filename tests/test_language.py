@@ -4,12 +4,13 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ecatspec.spec.language import overlap
 from ecatspec.spec.language.check import check_protocol, check_words
 from ecatspec.spec.language.check_texts import check_texts, unused
 from ecatspec.spec.language.diagnostics import Code, SpecError
@@ -239,6 +240,8 @@ def rules(*guards: str) -> str:
         (("number & 3 == 1", "number & 4 == 4"), "ECS301"),
         (("number == other", "number != 3"), "ECS301"),
         (("refused_in_op == stay", "flag"), "ECS301"),
+        (("flag and truth", "not flag or number == 1"), "ECS301"),
+        (("not (flag and truth)", "flag or truth"), "ECS301"),
         (("flag and not flag",), "ECS302"),
         (("readable_now(1, 2) and not readable(1, 2)",), "ECS302"),
         (("number > 255",), "ECS302"),
@@ -259,6 +262,8 @@ def test_guard_is_refused(guards: tuple[str, ...], code: str) -> None:
         ("number == other", "number != other"),
         ("number & 3 == 1", "number & 3 == 2"),
         ("if flag then number == 1 else number == 2", "number == 3"),
+        ("flag and truth", "not flag or not truth"),
+        ("not (flag and truth)", "flag and truth and number == 1"),
         ("too_high(1, 2, value_of(1, 2))", "too_low(1, 2, value_of(1, 2))"),
         ("al.state == INIT", "al.state == PREOP"),
     ],
@@ -266,6 +271,31 @@ def test_guard_is_refused(guards: tuple[str, ...], code: str) -> None:
 def test_guards_that_exclude_each_other_are_taken(guards: tuple[str, ...]) -> None:
     protocol = compile_texts([BASE, parse_text(rules(*guards), "text")])
     assert len(protocol.machines["extra"].rules) == len(guards)
+
+
+@pytest.mark.parametrize(
+    "guards",
+    [
+        ("flag and truth", "not flag or not truth"),
+        ("flag or truth", "not flag and not truth"),
+        ("not (flag and truth)", "flag and truth and number == 1"),
+    ],
+)
+def test_guards_that_say_the_opposite_need_no_search(
+    guards: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Behind the names there may be more combinations than anybody looks at."""
+    search, searched = overlap._search, []  # noqa: SLF001  what there is beside the words
+
+    def counted(*given: Any) -> object:  # noqa: ANN401  passed on
+        searched.append(given)
+        return search(*given)
+
+    monkeypatch.setattr(overlap, "_search", counted)
+    compile_texts([BASE, parse_text(rules("flag", "not flag"), "text")])
+    plain = len(searched)
+    compile_texts([BASE, parse_text(rules(*guards), "text")])
+    assert len(searched) == 2 * plain
 
 
 # --- the shipped texts ---------------------------------------------------------------------------

@@ -75,6 +75,9 @@ BUDGET: Final = 20_000
 _Value: TypeAlias = int | str
 _Dimension: TypeAlias = Ref | Call | Binary
 _Row: TypeAlias = Rule | Gap
+_Test: TypeAlias = "Callable[[_Environment], _Value | None]"
+_Waiting: TypeAlias = "tuple[_Test, tuple[_Dimension, ...]]"
+"""A test that is not decided, and the dimensions that it asks for."""
 
 
 class _Environment(dict[_Dimension, _Value]):
@@ -185,14 +188,29 @@ def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
 
 def _both(one: _Guard, other: _Guard) -> _Environment | None:
     """Sample values that make both guards true."""
-    if any((value, not holds) in other.claims for value, holds in one.claims):
-        return None
+    for mine, claims in ((one.claims, other.claims), (other.claims, one.claims)):
+        if any(_refuted(value, claims, holds=holds) for value, holds in mine):
+            return None
     samples = {
         d: one.samples.get(d, set()) | other.samples.get(d, set())
         for d in {**one.samples, **other.samples}
     }
     samples = _shared(samples, one.pairs | other.pairs)
     return _search([*one.tests, *other.tests], samples)
+
+
+def _refuted(value: Expression, claims: set[tuple[Expression, bool]], *, holds: bool) -> bool:
+    """Whether an expression cannot hold (or fail to) where all is as claimed."""
+    if (value, not holds) in claims:
+        return True
+    match value:
+        case Binary("and" | "or" as word, left, right):
+            both = (_refuted(part, claims, holds=holds) for part in (left, right))
+            return any(both) if holds is (word == "and") else all(both)
+        case Unary("not", operand):
+            return _refuted(operand, claims, holds=not holds)
+        case _:
+            return False
 
 
 def _shared(
@@ -208,37 +226,43 @@ def _shared(
 
 
 def _search(tests: Sequence[_Test], samples: dict[_Dimension, set[_Value]]) -> _Environment | None:
-    """Depth first, along the test that asks for least, with a cut where one is false for sure."""
+    """Depth first, along the test that asks for least, with a cut where one is false for sure.
+
+    What is decided stays so, and what is not changes only with a dimension that it asked for.
+    """
     environment = _Environment()
     budget = BUDGET
 
-    def found() -> bool:
+    def found(waiting: Sequence[_Waiting], given: _Dimension | None) -> bool:
         nonlocal budget
-        asked: list[list[_Dimension]] = []
-        for test in tests:
+        left: list[_Waiting] = []
+        for row in waiting:
+            if given is not None and given not in row[1]:
+                left.append(row)
+                continue
             environment.missing.clear()
-            result = test(environment)
+            result = row[0](environment)
             if result is None:
-                asked.append(list(environment.missing))
+                left.append((row[0], tuple(environment.missing)))
             elif not result:
                 return False
         if not _possible(environment):
             return False
-        if not asked:
+        if not left:
             return True
-        fewest = min(asked, key=len)
+        fewest = min((asked for _, asked in left), key=len)
         for value in sorted(samples.get(fewest[0], ()), key=_order) if fewest else ():
             budget -= 1
             if budget <= 0:
                 break
             environment[fewest[0]] = value
-            if found():
+            if found(left, fewest[0]):
                 return True
         if fewest:
             environment.pop(fewest[0], None)
         return False
 
-    return environment if found() else None
+    return environment if found([(test, ()) for test in tests], None) else None
 
 
 def _order(value: _Value) -> tuple[bool, int, str]:
@@ -311,7 +335,6 @@ def _name(dimension: _Dimension) -> str:
 
 # --- guards --------------------------------------------------------------------------------------
 
-_Test: TypeAlias = "Callable[[_Environment], _Value | None]"
 _ARITHMETIC: Final = frozenset({"+", "-", "*", "/", "%", "&", "|"})
 
 

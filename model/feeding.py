@@ -22,9 +22,11 @@ FED, HELD = "process_data.fed", "process_data.image"
 
 def fed(model: Model, candidate: Candidate, outputs: Iterable[Event], time: int) -> Candidate:
     """Give the explanation in which the device has these outputs; they replace older ones."""
+    inbox = candidate.inbox
     for event in outputs:
         own = event.machine, event.input
-        rest = tuple(p for p in candidate.inbox if p.target() != own)
+        old = [p.deadline for p in inbox if p.target() == own]
+        rest = tuple(p for p in inbox if p.target() != own) if old else inbox
         steps, within, nothing_new = _taken(model, candidate.state, event)
         until = time + within
         if nothing_new:
@@ -32,10 +34,8 @@ def fed(model: Model, candidate: Candidate, outputs: Iterable[Event], time: int)
             inbox = with_alarms(rest, steps[0], time, until)
         else:
             # the device looks by then, at these outputs or at those before
-            old = [p.deadline for p in candidate.inbox if p.target() == own]
             inbox = (*rest, Pending(event, min(old, default=until), within, time))
-        candidate = candidate.expecting(inbox)
-    return candidate
+    return candidate.expecting(inbox)
 
 
 @once
@@ -61,8 +61,8 @@ def widened(found: Iterable[tuple[Candidate, tuple[RuleName, ...]]]) -> Explanat
     """Give the explanations; of those that differ in times only one is left, which holds all."""
     kinds: dict[tuple[object, ...], tuple[Candidate, tuple[RuleName, ...]]] = {}
     for candidate, history in found:
-        inputs = tuple((p.event, p.timer, p.within, p.optional) for p in candidate.inbox)
-        kind = (candidate.expecting(()), inputs)
+        inputs = tuple([(p.event, p.timer, p.within, p.optional) for p in candidate.inbox])
+        kind = (*candidate.beside_inbox(), inputs)
         other, known = kinds.get(kind, (candidate, history))
         if other.inbox != candidate.inbox:
             inbox = tuple(

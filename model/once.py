@@ -3,38 +3,38 @@
 from __future__ import annotations
 
 from functools import wraps
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar, TypeVarTuple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ecatspec.model.compiled import Model
 
-_P = ParamSpec("_P")
+_Arguments = TypeVarTuple("_Arguments")
 _R = TypeVar("_R")
-_MOST = 16384
+_MOST: Final = 16384
 """So many answers of one function are kept; then it begins anew."""
+_NONE_YET: Final = object()
 
 
 def once(
-    function: Callable[Concatenate[Model, _P], _R],
-) -> Callable[Concatenate[Model, _P], _R]:
+    function: Callable[[Model, *_Arguments], _R],
+) -> Callable[[Model, *_Arguments], _R]:
     """Give the same function, evaluated once for the same arguments; the model keeps the answers.
 
     The arguments are hashable, and the answer must not be changed by anybody.
     """
 
     @wraps(function)
-    def remember(model: Model, /, *arguments: _P.args, **named: _P.kwargs) -> _R:
+    def remember(model: Model, /, *arguments: *_Arguments) -> _R:
         # somebody may close the dictionary at any time
         answers = model.answers[model.dictionary.closed][function]
-        key = (*arguments, *named.items()) if named else arguments
-        if key in answers:
-            answer: _R = answers[key]
-            return answer
-        if len(answers) >= _MOST:
-            answers.clear()
-        answer = answers[key] = function(model, *arguments, **named)
+        # one look only: hashes of tuples are worked out at each
+        answer: _R = answers.get(arguments, _NONE_YET)
+        if answer is _NONE_YET:
+            if len(answers) >= _MOST:
+                answers.clear()
+            answer = answers[arguments] = function(model, *arguments)
         return answer
 
     return remember

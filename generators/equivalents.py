@@ -15,12 +15,13 @@ from ecatspec.generators.mutants import DEFINE, SHOWN, definitions_in
 from ecatspec.model.chains import Chains
 from ecatspec.model.compiled import MAILBOX, rows_of
 from ecatspec.model.entered import with_guesses
+from ecatspec.model.forgetful import ForgetfulSolver
 from ecatspec.model.interpreter import DELIVER
 from ecatspec.model.meaning import Meaning
 from ecatspec.model.moments import ANY, Anything, Content, Moment
 from ecatspec.model.proofs import Prover
 from ecatspec.model.state import RuleName
-from ecatspec.model.terms import Answer, Solver, all_of, any_of, equal, negated
+from ecatspec.model.terms import Answer, all_of, any_of, equal, negated
 from ecatspec.spec.language.ir import (
     AnyValue,
     Bool,
@@ -64,7 +65,7 @@ class Equivalents:
         self._meaning = Meaning(built, abstract=False)
         self._meaning.model.dictionary.close()
         self._chains = Chains(self._meaning)
-        self._solver = Solver(self._meaning.symbols)
+        self._solver = ForgetfulSolver(self._meaning.symbols)
         self._world = self._meaning.world()
         self._raisable = frozenset(raisable)
         self._gaps_differ = True

@@ -15,6 +15,7 @@ from ecatspec.model.chains import Chains
 from ecatspec.model.compiled import rows_of
 from ecatspec.model.effects import has_effect, told_apart
 from ecatspec.model.examples import Example
+from ecatspec.model.forgetful import ForgetfulSolver
 from ecatspec.model.layouts import memory, round_trip
 from ecatspec.model.meaning import Meaning
 from ecatspec.model.moments import Moment
@@ -68,7 +69,7 @@ class Prover:
         self.protocol = protocol
         self.meaning = Meaning(protocol) if meaning is None else meaning
         self._samples = samples
-        self._solver = Solver(self.meaning.symbols)
+        self._solver = ForgetfulSolver(self.meaning.symbols)
 
     def findings(self) -> Iterator[Finding]:
         """Yield how every obligation ends, in the order of the obligations."""

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 DRIVE = "reference-drive"
 SMALL = "reference"
+on_small, on_drive = (pytest.mark.xdist_group(f"mutants of {name}") for name in (SMALL, DRIVE))
+"""What is shown and proved of the device stays in one process: it is worked out once there."""
 
 
 def written(folder: Path, text: str) -> Protocol:
@@ -419,6 +421,7 @@ def few_cases() -> mutate._Ground:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mutate, "all_cases", few)
         patch.setattr(mutate, "complete_suites", lambda *_: ())
+        patch.setattr(mutate, "_equivalents", lambda *_: proofs(SMALL))
         return mutate._Ground(SMALL, "quick", None)  # noqa: SLF001  made once for all tests
 
 
@@ -506,6 +509,7 @@ def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(found.survivors()) == [f"{mutant.at}: {mutant}" for mutant in sample[-1:]]
 
 
+@on_small
 def test_a_mutant_with_a_rule_that_means_nothing_is_killed(small: Callable[..., Analysis]) -> None:
     place = "sdo_information.object_undeclared_described"
     (found,) = small(named(place, SILENT, "send information_object")).fated
@@ -521,6 +525,7 @@ def fail() -> None:
     raise ZeroDivisionError
 
 
+@on_small
 @pytest.mark.parametrize("end", [hang, fail])
 def test_a_mutant_that_does_not_come_up_is_killed(
     small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch, end: Callable[[], None]
@@ -539,6 +544,7 @@ def test_a_mutant_that_does_not_come_up_is_killed(
     assert (found.fate, found.case) == (Fate.KILLED, "power-on")
 
 
+@on_small
 @pytest.mark.parametrize("end", [hang, fail])
 def test_a_mutant_that_fails_or_hangs_is_killed(
     small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch, end: Callable[[], None]
@@ -559,6 +565,7 @@ def test_a_mutant_that_fails_or_hangs_is_killed(
     assert "SDO-01" in found.clauses
 
 
+@on_small
 def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
     """A plain run of all cases blames those mutants that are called killed, and no others."""
     device = load_device(SMALL)
@@ -572,6 +579,7 @@ def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
     assert {each.fate for each in found.fated} == set(Fate)
 
 
+@on_small
 def test_the_finite_machines_speak_when_no_case_is_left(
     small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -747,16 +755,25 @@ def proofs(device: str) -> Equivalents:
     return Equivalents(built, described(built).locals)
 
 
+@cache
+def some_proved() -> tuple[Mutant, ...]:
+    """Give mutants of the small device that are proved to do the same."""
+    return tuple(mutant for mutant in mutants_of(SMALL)[::5] if proofs(SMALL).proved(mutant))
+
+
+@on_drive
 @pytest.mark.parametrize("why", IN_VAIN)
 def test_the_solver_proves_that_a_mistake_is_none(why: str) -> None:
     assert proofs(DRIVE).proved(wrong_in(DRIVE, IN_VAIN[why])), why
 
 
+@on_drive
 @pytest.mark.parametrize("mistake", REAL, ids=lambda mistake: mistake[0])
 def test_the_solver_proves_nothing_of_a_mistake(mistake: Mistake) -> None:
     assert not proofs(DRIVE).proved(wrong_in(DRIVE, mistake))
 
 
+@on_drive
 @pytest.mark.parametrize("mistake", OPEN, ids=lambda mistake: mistake[0])
 def test_the_solver_proves_that_a_mistake_shows_only_where_the_texts_end(mistake: Mistake) -> None:
     mutant = wrong_in(DRIVE, mistake)
@@ -765,33 +782,36 @@ def test_the_solver_proves_that_a_mistake_shows_only_where_the_texts_end(mistake
     assert not proofs(DRIVE).proved(mutant)
 
 
+@on_drive
 @pytest.mark.parametrize("mistake", REAL, ids=lambda mistake: mistake[0])
 def test_a_mistake_shows_where_the_texts_say_something(mistake: Mistake) -> None:
     assert not proofs(DRIVE).left_open(wrong_in(DRIVE, mistake))
 
 
+@on_small
 def test_what_shows_only_where_the_texts_end_is_tolerated(small: Callable[..., Analysis]) -> None:
     mutant = wrong_in(SMALL, OPEN[0])
     (found,) = small(mutant).fated
     assert (found.fate, found.case) == (Fate.TOLERATED, "")
 
 
+@on_small
 def test_what_is_proved_to_do_the_same_answers_the_same() -> None:
     ground = few_cases()
-    proved = [m for m in mutants_of(SMALL)[::5] if proofs(SMALL).proved(m)]
-    assert len({mutant.place for mutant in proved}) > 10
-    for mutant in proved:
+    assert len({mutant.place for mutant in some_proved()}) > 10
+    for mutant in some_proved():
         heard = mutate._Heard(mutant.protocol)  # noqa: SLF001  the device that is listened to
         for shown in ground.shown[::3]:
             assert not heard.differs(shown.log), f"{mutant}: {shown.case.name}"
 
 
+@on_small
 def test_a_proof_spares_the_cases(small: Callable[..., Analysis]) -> None:
-    mutant = next(m for m in mutants_of(SMALL) if proofs(SMALL).proved(m))
-    (found,) = small(mutant).fated
+    (found,) = small(some_proved()[0]).fated
     assert (found.fate, found.case) == (Fate.EQUIVALENT, "")
 
 
+@on_small
 def test_a_step_that_does_not_end_is_another_step(
     small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -974,6 +994,7 @@ def test_a_mistake_is_found_by_the_cases_for_it(where: str) -> None:
     assert blamed[1]
 
 
+@on_small
 def test_own_are_the_rules_of_the_device(small: Callable[..., Analysis]) -> None:
     rule = named("al.safeop_to_op", DROPPED, "identified")
     mine = replace(rule, at=replace(rule.at, file="mine.ecs"))
@@ -981,10 +1002,12 @@ def test_own_are_the_rules_of_the_device(small: Callable[..., Analysis]) -> None
     assert [each.mutant for each in small(rule, mine).fated] == [rule, mine]
 
 
+@on_small
 def test_without_mutants_nothing_is_missed(small: Callable[..., Analysis]) -> None:
     assert small().score() == 1.0
 
 
+@on_small
 def test_only_mistakes_with_certain_words(
     small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -1010,6 +1033,7 @@ def test_the_single_faults_of_finite_machines_are_counted(
 ) -> None:
     monkeypatch.setattr(mutate, "all_cases", lambda *_: ())
     monkeypatch.setattr(mutate, "mutants", lambda _: iter(()))
+    monkeypatch.setattr(mutate, "_equivalents", lambda *_: None)
     model = Model(load_device(SMALL))
     (suite,) = complete_suites(model, NO_LIMITS, (), {}, "default")
     first = replace(suite, suite=state_cover_suite(suite.found.machine))

@@ -76,7 +76,7 @@ class Symbols:
     def __init__(self) -> None:
         """Begin with none."""
         self.known: dict[str, Symbol] = {}
-        self._facts: dict[str, list[Term]] = {}
+        self._facts: dict[str, list[tuple[Term, list[str]]]] = {}
         self._inside: dict[int, tuple[Term, frozenset[str]]] = {}
 
     def truth(self, name: str, label: str, kind: Type | None, *, abstract: bool = False) -> Term:
@@ -108,7 +108,9 @@ class Symbols:
     def fact(self, symbol: Term, holds: Term) -> None:
         """Say what holds of a symbol wherever it is spoken of."""
         if not isinstance(symbol, int):
-            self._facts.setdefault(symbol.decl().name(), []).append(holds)
+            # the solver's examples depend on the order
+            fact = holds, sorted(self.inside(holds))
+            self._facts.setdefault(symbol.decl().name(), []).append(fact)
 
     def inside(self, term: Term) -> frozenset[str]:
         """Give the names of the symbols in a term."""
@@ -135,9 +137,9 @@ class Symbols:
             name = work.pop()
             if name not in told:
                 told.add(name)
-                for holds in self._facts.get(name, ()):
+                for holds, others in self._facts.get(name, ()):
                     found.append(holds)
-                    work += sorted(self.inside(holds))
+                    work += others
         return found
 
 

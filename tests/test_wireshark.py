@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     from ecatspec.model.values import Value
 
+pytestmark = pytest.mark.xdist_group("wireshark")
+"""It decodes all samples once, in one process."""
 MODEL: Final = Model(load_device("standard"))
 PROTOCOL: Final = MODEL.protocol
 CODEC: Final = MODEL.codec

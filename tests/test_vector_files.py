@@ -140,8 +140,9 @@ def put(*path: str | int, value: object) -> Change:
 
 
 TEST = ("testGroups", 0, "tests", 1)
-STEP = (*TEST, "steps", 4)
+STEP = (*TEST, "steps", 6)
 REPLY = (*STEP, "expect", 1)
+SENT = (*TEST, "steps", 5, "in")
 
 
 @pytest.mark.parametrize(
@@ -163,17 +164,17 @@ REPLY = (*STEP, "expect", 1)
         (put(*TEST, "more", value=1), "testGroups[0].tests[1]", "unknown field `more`"),
         (put(*TEST, "tcId", value=True), "testGroups[0].tests[1].tcId", "got `bool`"),
         (put(*TEST, "id", value="coe/unknown_service/0"), "testGroups[0].tests[1].id", "twice"),
-        (put(*STEP, "in", "do", value="sing"), "testGroups[0].tests[1].steps[4].in.do", "'sing'"),
-        (put(*STEP, "us", value=1e3), "testGroups[0].tests[1].steps[4].us", "whole number"),
-        (put(*STEP, "us", value=10**30), "testGroups[0].tests[1].steps[4].us", "too large"),
+        (put(*SENT, "do", value="sing"), "testGroups[0].tests[1].steps[5].in.do", "'sing'"),
+        (put(*STEP, "us", value=1e3), "testGroups[0].tests[1].steps[6].us", "whole number"),
+        (put(*STEP, "us", value=10**30), "testGroups[0].tests[1].steps[6].us", "too large"),
         (
             put(*REPLY, "anyOf", 1, "mask", value="F0"),
-            "testGroups[0].tests[1].steps[4].expect[1].anyOf[1].mask",
+            "testGroups[0].tests[1].steps[6].expect[1].anyOf[1].mask",
             "regex",
         ),
         (
             put(*REPLY, "kind", value="dream"),
-            "testGroups[0].tests[1].steps[4].expect[1].kind",
+            "testGroups[0].tests[1].steps[6].expect[1].kind",
             "'dream'",
         ),
     ],
@@ -396,7 +397,6 @@ def extend(*path: str | int, value: object) -> Change:
     return change
 
 
-SENT = (*STEP, "in")
 ANSWER = (*REPLY, "anyOf", 0)
 LOOK = (*STEP, "expect", 0)
 
@@ -410,7 +410,7 @@ LOOK = (*STEP, "expect", 0)
         (put("notes", "a", value={"bugType": "", "description": ""}), "notes.a", "no test has"),
         (extend(*TEST, "clauses", value="ZZ-01"), "clauses[", "no clause 'ZZ-01'"),
         (extend("rules", "al.init_to_preop", value="ZZ-01"), "rules.al.init_to", "'ZZ-01'"),
-        (extend(*STEP, "covers", value="al.zz"), ".steps[4].covers[2]", "no rule 'al.zz'"),
+        (extend(*STEP, "covers", value="al.zz"), ".steps[6].covers[2]", "no rule 'al.zz'"),
         (put(*TEST, "requires", value=True), ".requires", "not `configuration`"),
         (put(*TEST, "needs", value=["ds402.fault"]), ".needs", "raise nothing"),
         (put(*TEST, "result", value="valid"), ".result", "a step can end"),
@@ -421,14 +421,14 @@ LOOK = (*STEP, "expect", 0)
         (put(*REPLY, "symbol", value="emergency"), "expect[1].symbol", "bytes are mailbox_error"),
         (put(*LOOK, "address", value=65535), ".expect[0]", "6 bytes at 65535 go beyond 65536"),
         (put(*LOOK, "length", value=5), ".anyOf[0].value", "6 bytes, and 5 are read"),
-        (put(*SENT, "symbol", value="emergency"), "steps[4].in.symbol", "emergency, and the"),
-        (put(*SENT, "address", value=5), "steps[4].in.address", "5 is not that of the mailbox"),
+        (put(*SENT, "symbol", value="emergency"), "steps[5].in.symbol", "emergency, and the"),
+        (put(*SENT, "address", value=5), "steps[5].in.address", "5 is not that of the mailbox"),
         (put(*SENT, "data", value="00" * 200), ".in.data", "200 bytes do not fit"),
         (put(*TEST, "steps", 1, "in", "data", value=""), ".steps[1].in", "there are no bytes"),
         (put(*TEST, "steps", 1, "in", "address", value=65535), ".steps[1].in", "go beyond"),
         (
             put(*STEP, "cycle", value={"address": 65535, "data": "0000", "us": 1}),
-            "steps[4].cycle",
+            "steps[6].cycle",
             "2 bytes at 65535",
         ),
         (

@@ -184,7 +184,10 @@ class Codec:
         if not isinstance(body, bytes):
             return None
         for child in self._children.get(frame, ()):
-            if all(fields.get(name) == value for name, value in self._conditions[child].items()):
+            for name, value in self._conditions[child].items():
+                if fields.get(name) != value:
+                    break
+            else:
                 inner = self._read(child, body, fields, exact=True)
                 if inner is not None:
                     return child, inner
@@ -232,20 +235,23 @@ class Codec:
 
     def _write(self, frame: str, values: dict[str, Value], body: bytes | None) -> bytes:
         parts = self._parts[frame]
+        values = dict(values)
         if body is not None:
-            values = {**values, parts[-1].name: body}
-        # a byte field of which nothing is said is left out, so that it gets its own length
-        said = {p.name for p in parts if p.width is not None or _is_bytes(values.get(p.name))}
-        values = {n: v for n, v in values.items() if n in said or all(p.name != n for p in parts)}
+            values[parts[-1].name] = body
+        for part in parts:
+            # a byte field of which nothing is said is left out, so that it gets its own length
+            if part.width is None and not isinstance(values.get(part.name, b""), bytes):
+                del values[part.name]
         for part in parts:
             if part.filled is not None and part.name not in values:
                 filled = part.filled(Environment((), {}, values))
                 if not isinstance(filled, Pattern):
-                    values = {**values, part.name: filled}
+                    values[part.name] = filled
         for part in parts:
-            content = values.get(part.name, b"")
-            if part.counts is not None and part.counts not in values and isinstance(content, bytes):
-                values = {**values, part.counts: len(content)}
+            if part.counts is not None and part.counts not in values:
+                content = values.get(part.name, b"")
+                if isinstance(content, bytes):
+                    values[part.counts] = len(content)
         bits = 0
         offset = 0
         for part in parts:
@@ -327,7 +333,3 @@ class Codec:
         parts = self._parts[frame]
         constants = sum(part.constant is not None for part in parts) + len(self._conditions[frame])
         return constants, -len(parts)
-
-
-def _is_bytes(value: Value | None) -> bool:
-    return isinstance(value, bytes)

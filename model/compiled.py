@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias, assert_never
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, assert_never
 
 from ecatspec.model.codec import Codec
 from ecatspec.model.dictionary import CROWDED, ObjectDictionary
@@ -82,6 +82,8 @@ if TYPE_CHECKING:
 
 MAILBOX = "mailbox"
 """The machine that takes all messages, and its outermost layout."""
+_DECODED: Final = 512
+"""So many messages are remembered decoded."""
 
 
 Holder: TypeAlias = "Callable[[Environment], int | None]"
@@ -163,6 +165,7 @@ class Model:
         """Compile every view and layout of the protocol."""
         self.protocol = protocol
         self.assuming = assuming
+        self._decoded: dict[bytes, Message | None] = {}
         self.answers: tuple[defaultdict[object, dict[tuple[object, ...], Any]], ...] = (
             defaultdict(dict),
             defaultdict(dict),
@@ -328,8 +331,13 @@ class Model:
 
     def decode(self, data: bytes) -> Message | None:
         """Decode what lies in a mailbox by the first outermost layout that fits."""
-        messages = (self.codec.decode(data, root) for root in self._roots)
-        return next((message for message in messages if message is not None), None)
+        # the same message is looked at by the device, the session and the oracle
+        if data not in self._decoded:
+            if len(self._decoded) >= _DECODED:
+                self._decoded.clear()
+            messages = (self.codec.decode(data, root) for root in self._roots)
+            self._decoded[data] = next((each for each in messages if each is not None), None)
+        return self._decoded[data]
 
     def takers(self, sender: str, trail: tuple[str, ...]) -> list[tuple[str, str]]:
         """Give the inputs of other machines that take a frame: those of its innermost layout."""

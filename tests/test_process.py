@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
 import textwrap
 import threading
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from processes import descriptors, gone, living_group
 
 from ecatspec.conformance.adapter import (
     AdapterError,
@@ -22,10 +21,12 @@ from ecatspec.conformance.adapter import (
     DeviceRubbish,
 )
 from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.process import MAXIMUM_LINE, STDERR_KEPT, ProcessAdapter
+from ecatspec.conformance.lines import MAXIMUM_LINE
+from ecatspec.conformance.process import STDERR_KEPT, ProcessAdapter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     Make = Callable[..., ProcessAdapter]
 
@@ -93,33 +94,10 @@ def device(tmp_path: Path) -> Iterator[Make]:
         assert gone(pid), living_group(pid)
 
 
-def living_group(leader: int) -> list[str]:
-    """Processes of the group that still run; a killed orphan may wait for init as a zombie."""
-    living = []
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, _, group = stat.read_text().rpartition(")")[2].split()[:3]
-            if int(group) == leader and state not in "ZX":
-                living.append(str(stat))
-    return living
-
-
-def gone(leader: int) -> bool:
-    """Whether the group dies soon: all of it got a signal, only the leader was waited for."""
-    deadline = time.monotonic() + 10
-    while living_group(leader) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return not living_group(leader)
-
-
 def read_until_fault(adapter: ProcessAdapter) -> None:
     for _ in range(100):
         time.sleep(0.02)
         adapter.read(0, 1)
-
-
-def descriptors() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
 
 
 def on_read(body: str) -> str:

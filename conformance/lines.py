@@ -1,0 +1,296 @@
+"""The only place for the line protocol on the side of the run: line-delimited JSON, over any link.
+
+One request, one reply, one line each:
+
+    {"op":"describe"}                             {"ok":true,"description":{...}}
+    {"op":"reset"}                                {"ok":true}
+    {"op":"read","address":304,"length":2}        {"ok":true,"wkc":1,"data":"0100"}
+    {"op":"write","address":288,"data":"0200"}    {"ok":true,"wkc":1}
+    {"op":"advance","seconds":0.5}                {"ok":true}
+    {"op":"local","event":"ds402.fault"}          {"ok":true}
+    {"op":"close"}                                {"ok":true}
+
+A reply {"ok":false,"error":"text"} says that the call or the set-up was wrong: AdapterError.
+Everything else that is not such a reply is a fault of the device: it ended (DeviceCrash), it
+was silent (DeviceHang) or it answered out of the contract (DeviceRubbish).  After a fault the
+link is gone, and `reset` opens a new one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import select
+import time
+from typing import TYPE_CHECKING, Final, NoReturn, Protocol, Self
+
+from ecatspec.conformance.adapter import (
+    AdapterError,
+    Description,
+    DeviceCrash,
+    DeviceHang,
+    DeviceRubbish,
+    check_duration,
+    check_span,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+MAXIMUM_LINE: Final = 1 << 20
+CHUNK: Final = 1 << 16
+CLOSE: Final = b'{"op":"close"}\n'
+_LOOKS: Final = 200 if (os.cpu_count() or 1) > 1 else 0
+"""How often to look for an answer before sleeping; on one processor looking only delays it."""
+_REPORTS: Final = (
+    re.compile(r"^.*: runtime error: .*$", re.MULTILINE),
+    re.compile(r"^SUMMARY: (\w+Sanitizer: .*)$", re.MULTILINE),
+)
+"""What sanitizers say, the most telling line first."""
+
+
+class Ended(Exception):  # noqa: N818  the end of the output, not yet judged
+    """The device closed its side, `unfinished` bytes into an answer."""
+
+    def __init__(self, unfinished: int) -> None:
+        super().__init__()
+        self.unfinished = unfinished
+
+
+class SilentError(Exception):
+    """Nothing came in time."""
+
+
+class UnboundError(Exception):
+    """What came is not one line to one request."""
+
+
+class Link(Protocol):
+    """One life of a way to a device."""
+
+    def exchange(self, request: bytes, timeout: float) -> bytes:
+        """Send one line and return the one that answers it: Ended, SilentError, UnboundError."""
+
+    def end_of_silence(self) -> str:
+        """Say in words how the device ended whose output ended, and leave nothing behind."""
+
+    def last_words(self) -> str:
+        """Return the end of what the device said on its error stream."""
+
+    def end(self, *, politely: bool) -> None:
+        """Leave nothing behind; politely: tell the device first."""
+
+
+class LineAdapter:
+    """A device behind links that `open_link` opens: one after the other, each after a fault."""
+
+    def __init__(self, open_link: Callable[[], Link], *, hang_timeout: float = 10.0) -> None:
+        self._open_link = open_link
+        self._hang_timeout = hang_timeout
+        self._obituary = "it was closed"
+        self._description: Description | None = None
+        self._link: Link | None = open_link()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def reset(self) -> None:
+        """Power cycle the device; a dead one gets a new link first."""
+        if self._link is None:
+            self._link = self._open_link()
+        self._exchange('{"op":"reset"}\n')
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Return the working counter and the bytes read."""
+        check_span(address, length)
+        reply = self._exchange(f'{{"op":"read","address":{address:d},"length":{length:d}}}\n')
+        working_counter = self._working_counter(reply)
+        text = reply.get("data")
+        if not isinstance(text, str):
+            self._rubbish(f"the data of a read is not a text: {text!r}")
+        try:
+            data = bytes.fromhex(text)
+        except ValueError:
+            self._rubbish(f"the data of a read is not hexadecimal: {text[:40]!r}")
+        if len(data) != length and (working_counter or data):
+            self._rubbish(f"{len(data)} bytes came for a read of {length}")
+        return working_counter, data
+
+    def write(self, address: int, data: bytes) -> int:
+        """Return the working counter of the write."""
+        check_span(address, len(data))
+        return self._working_counter(
+            self._exchange(f'{{"op":"write","address":{address:d},"data":"{data.hex()}"}}\n')
+        )
+
+    def advance(self, seconds: float) -> None:
+        """Let the device run; in real time the answer may take that much longer."""
+        check_duration(seconds)
+        self._exchange(f'{{"op":"advance","seconds":{float(seconds)!r}}}\n', extra=seconds)
+
+    def local(self, event: str) -> None:
+        """Make a local event befall the device."""
+        self._exchange(json.dumps({"op": "local", "event": event}) + "\n")
+
+    def describe(self) -> Description:
+        """Return the device's description: asked once, kept beyond the device's death."""
+        if self._description is None:
+            data = self._exchange('{"op":"describe"}\n').get("description")
+            if not isinstance(data, dict):
+                self._rubbish("the answer to describe has no description")
+            try:
+                self._description = Description.from_json(data)
+            except ValueError as error:
+                self._rubbish(str(error))
+        return self._description
+
+    def close(self) -> None:
+        """End the link and what it started; safe to call at any time."""
+        link, self._link, self._obituary = self._link, None, "it was closed"
+        if link is not None:
+            link.end(politely=True)
+
+    def _exchange(self, request: str, *, extra: float = 0.0) -> dict[str, object]:
+        link = self._link
+        if link is None:
+            reason = f"the device is not running ({self._obituary}); reset starts it again"
+            raise DeviceCrash(reason)
+        try:
+            line = link.exchange(request.encode("ascii"), self._hang_timeout + extra)
+        except Ended as ended:
+            self._crash(link, ended)
+        except SilentError:
+            self._kill(reason := f"no answer within {self._hang_timeout + extra:g} s")
+            raise DeviceHang(reason) from None
+        except UnboundError as error:
+            self._rubbish(str(error))
+        except BaseException:  # the reply is still under way: this link is of no more use
+            self._kill("the run was interrupted")
+            raise
+        try:
+            reply = json.loads(line)
+        except (ValueError, RecursionError):
+            self._rubbish(f"the answer is not JSON: {line[:60]!r}")
+        if not isinstance(reply, dict):
+            self._rubbish(f"the answer is not an object: {line[:60]!r}")
+        accepted = reply.get("ok")
+        if accepted is True:
+            return reply
+        error_text = reply.get("error")
+        if accepted is not False or not isinstance(error_text, str):
+            self._rubbish(f"the answer says neither yes nor why not: {line[:60]!r}")
+        raise AdapterError(error_text)
+
+    def _working_counter(self, reply: dict[str, object]) -> int:
+        value = reply.get("wkc")
+        if type(value) is not int or value < 0:
+            self._rubbish(f"the working counter is not a count: {value!r}")
+        return value
+
+    def _kill(self, obituary: str) -> None:
+        link, self._link, self._obituary = self._link, None, obituary
+        if link is not None:
+            link.end(politely=False)
+
+    def _rubbish(self, reason: str) -> NoReturn:
+        self._kill(reason)
+        raise DeviceRubbish(reason) from None
+
+    def _crash(self, link: Link, ended: Ended) -> NoReturn:
+        self._link = None
+        how = link.end_of_silence()
+        tail = link.last_words()
+        last = _telling(tail)
+        reason = f"the device ended: {how}"
+        if ended.unfinished:
+            reason += f", {ended.unfinished} bytes into an answer"
+        if last:
+            reason += f"; it said: {last[-200:]}"
+        self._obituary = how
+        raise DeviceCrash(reason, tail) from None
+
+
+class Lines:
+    """Lines over two descriptors, that may be one; a device that does not listen cannot stop us."""
+
+    def __init__(self, requests: int, replies: int) -> None:
+        os.set_blocking(requests, False)
+        self._requests, self._replies = requests, replies
+        self._answers = select.poll()
+        self._answers.register(replies, select.POLLIN)
+
+    def exchange(self, request: bytes, timeout: float) -> bytes:
+        """Send one line and return the one line that answers it."""
+        if self._answers.poll(0):
+            # End of file, or output that nobody asked for.
+            unasked = self._read()
+            if not unasked:
+                raise Ended(0)
+            message = f"output without a request: {unasked[:60]!r}"
+            raise UnboundError(message)
+        deadline = time.monotonic() + timeout
+        try:
+            self._send(request, deadline)
+        except (BrokenPipeError, ConnectionResetError):
+            raise Ended(0) from None
+        return self._receive(deadline)
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._replies, CHUNK)
+        except ConnectionResetError:
+            return b""
+
+    def _send(self, rest: bytes, deadline: float) -> None:
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                rest = rest[os.write(self._requests, rest) :]
+            if not rest:
+                return
+            room = select.poll()
+            room.register(self._requests, select.POLLOUT)
+            if not room.poll(_milliseconds(deadline)):
+                raise SilentError
+
+    def _receive(self, deadline: float) -> bytes:
+        line = b""
+        # A quick device answers before a sleep and a wake-up would be over: look first.
+        for _ in range(_LOOKS):
+            if self._answers.poll(0):
+                break
+        while True:
+            if not self._answers.poll(_milliseconds(deadline)):
+                raise SilentError
+            chunk = self._read()
+            if not chunk:
+                raise Ended(len(line))
+            line = line + chunk if line else chunk
+            end = chunk.find(b"\n")
+            if end >= 0:
+                end += len(line) - len(chunk)
+                if end + 1 < len(line):
+                    message = f"more than one line to one request: {line[end + 1 :][:60]!r}"
+                    raise UnboundError(message)
+                line = line[:end]
+            if len(line) > MAXIMUM_LINE:
+                message = f"a line of more than {MAXIMUM_LINE} bytes"
+                raise UnboundError(message)
+            if end >= 0:
+                return line
+
+
+def _milliseconds(deadline: float) -> int:
+    return max(0, int((deadline - time.monotonic()) * 1000) + 1)
+
+
+def _telling(tail: str) -> str:
+    """Give the line of the last words that tells most: the report of a sanitizer, or the last."""
+    for report in _REPORTS:
+        if found := report.search(tail):
+            return found[found.re.groups].strip()
+    return tail.rstrip().rpartition("\n")[2].strip()

@@ -37,6 +37,8 @@ AREAS = dict(
 """SyncManager -> the parameter that says where its memory usually lies."""
 DIRECTIONS = dict(zip(_ALL, ("main_writes", "main_reads") * 2, strict=True))
 """SyncManager -> the row of `sync_manager_direction` that is right for it."""
+_EVENTS = "al_event_request"
+_WATCHDOG = "watchdog_status"
 
 
 def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
@@ -61,6 +63,8 @@ class Channel:
     length: int
     main_writes: bool
     full: bool = False
+    off: bool = False
+    """The device has deactivated it."""
 
     def overlaps(self, address: int, length: int) -> bool:
         """Tell whether an access touches the area."""
@@ -109,6 +113,7 @@ class Esc:
         self._al_bit = 1 << model.parameter("al_control_event")
         self._change_bit = 1 << model.parameter("sync_manager_change_event")
         self._first_bit = model.parameter("first_sync_manager_event")
+        self._watchdog_bit = field_mask(protocol, _EVENTS, "process_data_watchdog")
         self._mailbox_mode = model.row("sync_manager_mode", "mailbox")
         self._buffered_mode = model.row("sync_manager_mode", "buffered")
         self._main_writes = model.row("sync_manager_direction", "main_writes")
@@ -253,7 +258,7 @@ class Esc:
     def _read_memory(self, address: int, length: int) -> tuple[int, bytes]:
         for channel in self._channels.values():
             if channel.overlaps(address, length):
-                if channel.main_writes or not channel.full:
+                if channel.main_writes or not channel.full or channel.off:
                     return 0, bytes(length)
                 data = bytes(self._memory[address : address + length])
                 if channel.reaches_end(address, length):
@@ -265,7 +270,7 @@ class Esc:
     def _write_memory(self, address: int, data: bytes) -> int:
         for channel in self._channels.values():
             if channel.overlaps(address, len(data)):
-                if not channel.main_writes or channel.full:
+                if not channel.main_writes or channel.full or channel.off:
                     return 0
                 self._memory[address : address + len(data)] = data
                 if channel.reaches_end(address, len(data)):
@@ -303,6 +308,10 @@ class Esc:
         raw = self.register(f"{name}_activation")
         return bool(field_of(self._protocol, f"{name}_activation", "enabled", raw))
 
+    def _deactivated(self, name: str) -> bool:
+        control = f"{name}_pdi_control"
+        return bool(field_of(self._protocol, control, "deactivated", self.register(control)))
+
     def _arrange(self) -> None:
         before, self._channels = self._channels, {}
         for name in SYNC_MANAGERS:
@@ -313,8 +322,11 @@ class Esc:
                 direction = field_of(self._protocol, name, "direction", raw)
                 start = field_of(self._protocol, name, "start", raw)
                 old = before.get(name)
-                full = bool(old and old.full and old.start == start)
-                channel = Channel(name, start, length, direction == self._main_writes, full)
+                off = self._deactivated(name)
+                full = bool(old and old.full and old.start == start and not off)
+                if off:
+                    self._events &= ~self._event_of(name)
+                channel = Channel(name, start, length, direction == self._main_writes, full, off)
                 self._set_full(channel, full=full)
             else:
                 self.set_register(f"{name}_status", 0)
@@ -330,11 +342,10 @@ class Esc:
             if covers and mode == self._buffered_mode:
                 direction = field_of(self._protocol, name, "direction", raw)
                 channel = ProcessChannel(start, length, direction == self._main_writes)
-                control = f"{name}_pdi_control"
-                off = field_of(self._protocol, control, "deactivated", self.register(control))
+                off = self._deactivated(name)
                 old = before.get(name)
-                same = old is not None and (old.channel, old.off) == (channel, bool(off))
-                self._buffers[name] = old if old and same else ThreeBuffers(channel, off=bool(off))
+                same = old is not None and (old.channel, old.off) == (channel, off)
+                self._buffers[name] = old if old and same else ThreeBuffers(channel, off=off)
             if self._buffers.get(name) is not before.get(name):
                 self._events &= ~self._event_of(name)
             self._show_buffers(name)
@@ -381,6 +392,7 @@ class Esc:
         for channel in self._channels.values():
             if channel.main_writes and channel.full and channel.reaches_end(address, length):
                 self._set_full(channel, full=False)
+                self._events &= ~self._event_of(channel.name)
         control = self._protocol.registers["al_control"]
         if _overlap(control, address, length):
             self._al_control_locked = False
@@ -388,6 +400,10 @@ class Esc:
         for name in _ALL:
             if _overlap(self._protocol.registers[f"{name}_activation"], address, length):
                 self._events &= ~self._change_bit
+        if _overlap(self._protocol.registers[_EVENTS], address, length):
+            self.set_register(_EVENTS, self._events)
+        if _overlap(self._protocol.registers[_WATCHDOG], address, length):
+            self._events &= ~self._watchdog_bit
         if not self._touches_process_data(address, length):
             return bytes(self._memory[address : address + length])
         return b"".join(
@@ -420,11 +436,11 @@ class Esc:
         for channel in self._channels.values():
             if not channel.main_writes and channel.reaches_end(address, len(data)):
                 self._set_full(channel, full=True)
-
-        for name in PROCESS_DATA:
-            control = self._protocol.registers[f"{name}_pdi_control"]
-            if _overlap(control, address, len(data)):
-                self._arrange_process_data()
+                self._events &= ~self._event_of(channel.name)
+        controls = (self._protocol.registers[f"{name}_pdi_control"] for name in _ALL)
+        if any(_overlap(control, address, len(data)) for control in controls):
+            self._arrange()
+            self._arrange_process_data()
 
     def _device_write(self, name: str, address: int, data: bytes) -> None:
         buffers = self._buffers[name]
@@ -467,6 +483,16 @@ class Esc:
         raw = self.register(control)
         self.set_register(control, raw | mask if off else raw & ~mask)
         self._arrange_process_data()
+
+    def show_watchdog(self, *, running: bool) -> None:
+        """Let the status of the watchdog of process data say whether it runs, or is off."""
+        mask = field_mask(self._protocol, _WATCHDOG, "running")
+        self.set_register(_WATCHDOG, mask if running else 0)
+
+    def expire_watchdog(self) -> None:
+        """Tell the device that the watchdog expired: an event, until it reads the status."""
+        self.show_watchdog(running=False)
+        self._events |= self._watchdog_bit
 
     def channel(self, name: str) -> Channel | None:
         """Give a mailbox as it is now, None where it is not set up."""

@@ -69,11 +69,7 @@ class VirtualSubDevice:
         self._request_service = codec.fixed("sdo_request")["service"]
         self._response_service = codec.fixed("sdo_response")["service"]
         self._power_on = power_on(self.model)
-        self._register_slots = [
-            (slot, at.address, at.address + at.size)
-            for name, at in self.model.protocol.registers.items()
-            if (slot := self.model.slots.get(f"register {name}")) is not None
-        ]
+        self._register_slots = register_slots(self.model)
         self.reset()
 
     def reset(self) -> None:
@@ -151,9 +147,7 @@ class VirtualSubDevice:
             return
         self._taken = registers
         was_alive = self._alive()
-        for slot, low, high in self._register_slots:
-            if (raw := registers[low:high]) != before[low:high]:
-                self.state = self.state.having(slot, int.from_bytes(raw, "little"))
+        self.state = with_registers(self.state, self._register_slots, registers, before)
         self._drop_mail(was_alive)
 
     def _drop_mail(self, was_alive: bool) -> None:  # noqa: FBT001
@@ -338,6 +332,25 @@ def _inputs(model: Model, state: State, environment: Environment) -> bytes | Non
             if isinstance(value, bytes):
                 image = placed(image, part, int.from_bytes(value, "little"))
     return image.to_bytes(-(-sum(part.bits for part in mapped) // _BYTE), "little")
+
+
+def register_slots(model: Model) -> tuple[tuple[int, int, int], ...]:
+    """Give the registers that a state knows: slot, first address, address behind the last."""
+    return tuple(
+        (slot, at.address, at.address + at.size)
+        for name, at in model.protocol.registers.items()
+        if (slot := model.slots.get(f"register {name}")) is not None
+    )
+
+
+def with_registers(
+    state: State, slots: tuple[tuple[int, int, int], ...], registers: bytes, before: bytes
+) -> State:
+    """Give the state after the memory of the registers was `before` and is `registers`."""
+    for slot, low, high in slots:
+        if (raw := registers[low:high]) != before[low:high]:
+            state = state.having(slot, int.from_bytes(raw, "little"))
+    return state
 
 
 def _delivered(taken: Step) -> bool:

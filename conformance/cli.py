@@ -54,6 +54,7 @@ EXAMPLES: Final = {
     "diff": "ecatspec diff kollmorgen-akd kollmorgen-s300",
     "export": "ecatspec export kollmorgen-akd --format c -o vectors.h",
     "replay": "ecatspec replay vectors.json --dut canopen",
+    "adapters": "ecatspec adapters --include",
     "vectors": "ecatspec vectors lint vectors.json",
 }
 
@@ -145,8 +146,9 @@ def run(
 ) -> int:
     """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
 
-    The device under test is the virtual SubDevice of the text (--dut model), the SDO server of
-    the package canopen (--dut canopen), or a program (--dut "exec:COMMAND ARGUMENTS").
+    The device under test is the virtual SubDevice of the text (--dut model), a shared library
+    (--dut lib:PATH), a program (--dut "exec:COMMAND ARGUMENTS"), or what else `ecatspec adapters`
+    lists.
     """
     from ecatspec.conformance.devices import load
 
@@ -160,6 +162,30 @@ def run(
     }
     result = _run(protocol, device, dut, options)
     return _report((result,), protocol, as_json=as_json)
+
+
+@cli.command(epilog=_example("adapters"))
+@click.option("--json", "as_json", is_flag=True, help="Give the list as JSON.")
+@click.option("--include", is_flag=True, help="Give the folder of ecatspec_dut.h, for a compiler.")
+def adapters(*, as_json: bool, include: bool) -> int:
+    """List the ways to reach a device under test, as --dut takes them."""
+    from ecatspec.conformance.adapters import ADAPTERS
+    from ecatspec.conformance.devices import Sheet
+    from ecatspec.conformance.libraries import HEADERS
+
+    if as_json:
+        listed = [
+            {"name": name, "summary": entry.summary, "example": entry.example}
+            for name, entry in ADAPTERS.items()
+        ]
+        _print_json("ecatspec.adapters", {"include": str(HEADERS), "adapters": listed})
+    elif include:
+        _print(f"{HEADERS}\n")
+    else:
+        rows = tuple((name, e.summary, f"--dut {e.example}") for name, e in ADAPTERS.items())
+        title = "ways to reach a device under test"
+        _print(_table(Sheet("adapters", title, ("adapter", "what it reaches", "example"), rows)))
+    return CONFORMS
 
 
 @cli.command(epilog=_example("monitor"))

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import AdapterError, raise_local
 from ecatspec.conformance.adapters import FACTORIES
-from ecatspec.conformance.devices import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -46,11 +45,8 @@ def main(arguments: list[str] | None = None) -> int:
         serve = _server(name, text)
     except AdapterError as error:
         serve = _refusal(str(error))
-    except UserError as error:
-        serve = _refusal(f"cannot set up {name!r}: {error}")
     except Exception as error:  # noqa: BLE001  nothing of the device has run yet: set-up trouble
-        traceback.print_exc()
-        serve = _refusal(f"cannot set up {name!r}: {type(error).__name__}: {error}")
+        serve = _refusal(f"cannot set up {name!r}: {_told(error)}")
     try:
         for line in _lines(requests):
             _send(replies, serve(json.loads(line)))
@@ -87,6 +83,16 @@ def _server(name: str, text: str) -> Callable[[dict[str, object]], str]:
             return json.dumps({"ok": False, "error": str(error)})
 
     return serve
+
+
+def _told(error: Exception) -> str:
+    """Say what was wrong; only what is not the user's doing needs a traceback."""
+    from ecatspec.conformance.devices import UserError
+
+    if isinstance(error, UserError):
+        return str(error)
+    traceback.print_exception(error)
+    return f"{type(error).__name__}: {error}"
 
 
 def _refusal(reason: str) -> Callable[[dict[str, object]], str]:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from pathlib import Path
+
+import pytest
+
+from ecatspec.conformance.libraries import HEADERS
 
 SOURCES = Path(__file__).resolve().parent.parent / "examples" / "c_slave"
 TEXT = str(SOURCES / "slave.ecs")
@@ -42,3 +47,44 @@ def sanitizes(folder: Path) -> bool:
     source.write_text("int main(void) { return 0; }\n")
     command = [compiler, "-fsanitize=address,undefined", "-o", str(folder / "empty"), str(source)]
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def build(folder: Path, *arguments: str, sources: Path = SOURCES) -> Path:
+    """Make the program, or what else the arguments ask for; give the folder that holds it."""
+    make, compiler = shutil.which("make"), shutil.which("cc")
+    if make is None or compiler is None:
+        pytest.skip("no C compiler: needs make and cc")
+    command = [make, "-s", "-C", str(sources), f"BUILD={folder}", f"CC={compiler}"]
+    made = subprocess.run(
+        [*command, f"INCLUDE={HEADERS}", *arguments], capture_output=True, text=True, check=False
+    )
+    assert made.returncode == 0, made.stderr
+    return folder
+
+
+def library(source: str, file: Path, *options: str, standard: str = "c99") -> Path:
+    """Compile a library that is one file in C, or in C++."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler: needs cc")
+    language = "c++" if "++" in standard else "c"
+    command = [
+        compiler,
+        f"-std={standard}",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-g",
+        "-shared",
+        "-fPIC",
+    ]
+    made = subprocess.run(
+        [*command, *options, "-I", str(HEADERS), "-o", str(file), "-x", language, "-"],
+        input=source,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "LC_ALL": "C"},
+    )
+    assert made.returncode == 0, made.stderr
+    return file

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import random
 import re
-import shutil
 import subprocess
 from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
-from c_device import SOURCES, TEXT, WHERE, sanitizes
+from c_device import SOURCES, TEXT, WHERE, build, sanitizes
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.devices import load
@@ -106,21 +105,11 @@ EXERCISED = {
 """Rules by which a run has to go for sure, so that its silence means something."""
 
 
-def build(folder: Path, *arguments: str) -> Path:
-    make, compiler = shutil.which("make"), shutil.which("cc")
-    if make is None or compiler is None:
-        pytest.skip("no C compiler: needs make and cc")
-    command = [make, "-s", "-C", str(SOURCES), f"BUILD={folder}", f"CC={compiler}", *arguments]
-    made = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert made.returncode == 0, made.stderr
-    return folder / "slave"
-
-
 @pytest.fixture(scope="session")
 def slave(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The device; with a compiler that has sanitizers it ends at the first access out of bounds."""
     folder = tmp_path_factory.mktemp("c_slave")
-    return build(folder, *(["sanitized"] if sanitizes(folder) else []))
+    return build(folder, *(["sanitized"] if sanitizes(folder) else [])) / "slave"
 
 
 @cache
@@ -231,5 +220,5 @@ def test_every_fault_has_its_cases() -> None:
 @pytest.mark.xdist_group("faults of c_slave")  # the cases are made once for all of them
 @pytest.mark.parametrize("fault", WHERE)
 def test_a_fault_is_found(fault: str, tmp_path: Path) -> None:
-    program = build(tmp_path, f"FAULT={fault}")
+    program = build(tmp_path, f"FAULT={fault}") / "slave"
     assert any(verdict.outcome in BLAMING for verdict in judged(program, WHERE[fault]))

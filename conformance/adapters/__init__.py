@@ -2,7 +2,10 @@
 
     model                    the virtual SubDevice of the texts
     canopen                  the SDO server of the package canopen behind the virtual mailbox
-    exec:COMMAND ARGUMENTS   any program that speaks the line protocol of `process`
+    lib:PATH                 a shared library with the tables of ecatspec_dut.h
+    exec:COMMAND ARGUMENTS   any program that speaks the line protocol of `lines`
+    tcp:HOST:PORT            the same lines over a socket
+    unix:PATH                the same lines over a Unix socket
 
 A Python adapter is a file here with `make(device, options) -> Adapter`, a row in FACTORIES and
 a row in ADAPTERS; it runs in a process of its own, but for `model`, which is ours and cannot harm
@@ -23,9 +26,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
-from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.guard import Guarded
+from ecatspec.conformance.libraries import environment, library_file
 from ecatspec.conformance.process import ProcessAdapter
+from ecatspec.conformance.sockets import at_path, at_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -112,13 +116,33 @@ def _open_hosted(
     if package is not None and importlib.util.find_spec(package) is None:
         message = f'the adapter {name!r} needs a package: pip install "ecatspec[{package}]"'
         raise AdapterError(message)
+    return ProcessAdapter(_host(name, device, options), hang_timeout=hang_timeout)
+
+
+def _host(name: str, device: str, options: Mapping[str, str]) -> list[str]:
     arguments = json.dumps({"device": device, "options": options})
     # -P: a file of the user's folder must not stand in for a module.
-    host = [sys.executable, "-P", "-m", "ecatspec.conformance.host"]
-    return ProcessAdapter([*host, name, arguments], hang_timeout=hang_timeout)
+    return [sys.executable, "-P", "-m", "ecatspec.conformance.host", name, arguments]
+
+
+def _open_library(rest: str, device: str, hang_timeout: float) -> Adapter:
+    path, _, further = rest.partition(",")
+    options = parse_options(further)
+    refuse_options("lib", options, known=("poll",))
+    file = library_file(path)
+    command = _host("lib", device, {"path": str(file), **options})
+    return ProcessAdapter(command, hang_timeout=hang_timeout, env=environment(file))
+
+
+def _open_socket(
+    open_at: Callable[..., Adapter], rest: str, _device: str, hang_timeout: float
+) -> Adapter:
+    return open_at(rest, hang_timeout=hang_timeout)
 
 
 def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
+    from ecatspec.conformance.devices import UserError
+
     options = parse_options(rest)
     try:
         return Guarded(_make("model", device, options))
@@ -136,7 +160,7 @@ def _open_command(rest: str, _device: str, hang_timeout: float) -> Adapter:
 
 
 FACTORIES: Final[Mapping[str, Factory]] = MappingProxyType(
-    {name: partial(_make, name) for name in ("model", "canopen")}
+    {name: partial(_make, name) for name in ("model", "canopen", "lib")}
 )
 
 ADAPTERS: Final[Mapping[str, Entry]] = MappingProxyType(
@@ -153,10 +177,25 @@ ADAPTERS: Final[Mapping[str, Entry]] = MappingProxyType(
             open=partial(_open_hosted, "canopen", package="canopen"),
             resizable=True,
         ),
+        "lib": Entry(
+            summary="a shared library with the tables of ecatspec_dut.h",
+            example="lib:./libdut.so",
+            open=_open_library,
+        ),
         "exec": Entry(
             summary="a program that speaks the line protocol",
             example="exec:./my_stack --port 0",
             open=_open_command,
+        ),
+        "tcp": Entry(
+            summary="a program that speaks the line protocol at the other end of a socket",
+            example="tcp:localhost:5000",
+            open=partial(_open_socket, at_port),
+        ),
+        "unix": Entry(
+            summary="a program that speaks the line protocol at a Unix socket",
+            example="unix:/tmp/slave.sock",
+            open=partial(_open_socket, at_path),
         ),
     }
 )

@@ -1,0 +1,359 @@
+"""The only place for a device in a shared library: the tables of ecatspec_dut.h, and their calls.
+
+It runs in the process of the host, so that whatever the library does to it is a verdict. What it
+does wrong without dying of it (a byte too many, an access beyond the memory of the ESC) ends the
+process too.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import (
+    CFUNCTYPE,
+    POINTER,
+    c_char_p,
+    c_int,
+    c_size_t,
+    c_uint16,
+    c_uint32,
+    c_uint64,
+    c_void_p,
+)
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.conformance.adapter import (
+    ADDRESS_SPACE,
+    AdapterError,
+    Description,
+    check_duration,
+    check_span,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.model.esc import Esc
+    from ecatspec.spec.language.ir import Protocol
+
+ABI: Final = 1
+"""The version of ecatspec_dut.h that is spoken here."""
+ENTRY: Final = "ecatspec_dut"
+_SECOND: Final = 1_000_000
+_GUARD: Final = b"\xa5\x5a\xc3\x3c\x96\x69\xf0\x0f"
+"""What lies behind a buffer, to see whether a device writes beyond it."""
+
+_READ = CFUNCTYPE(c_int, c_void_p, c_uint16, c_void_p, c_size_t)
+_WRITE = CFUNCTYPE(c_int, c_void_p, c_uint16, c_char_p, c_size_t)
+_LOCAL = CFUNCTYPE(c_int, c_void_p, c_char_p)
+_CREATE = CFUNCTYPE(c_void_p)
+_CALL = CFUNCTYPE(None, c_void_p)
+_PDI_READ = CFUNCTYPE(None, c_void_p, c_uint16, c_void_p, c_size_t)
+_AL_EVENT = CFUNCTYPE(c_uint32, c_void_p)
+
+
+class _Device(ctypes.Structure):
+    _fields_ = (
+        ("create", _CREATE),
+        ("destroy", _CALL),
+        ("reset", _CALL),
+        ("read", _READ),
+        ("write", _WRITE),
+        ("advance", CFUNCTYPE(None, c_void_p, c_uint64)),
+        ("local", _LOCAL),
+    )
+
+
+class _Esc(ctypes.Structure):
+    _fields_ = (
+        ("context", c_void_p),
+        ("pdi_read", _PDI_READ),
+        ("pdi_write", _PDI_READ),
+        ("al_event", _AL_EVENT),
+    )
+
+
+class _Stack(ctypes.Structure):
+    _fields_ = (
+        ("create", CFUNCTYPE(c_void_p, POINTER(_Esc))),
+        ("destroy", _CALL),
+        ("init", _CALL),
+        ("poll", CFUNCTYPE(None, c_void_p, c_uint32)),
+        ("local", _LOCAL),
+    )
+
+
+class _Dut(ctypes.Structure):
+    _fields_ = (
+        ("abi", c_uint32),
+        ("name", c_char_p),
+        ("protocols", c_char_p),
+        ("locals", c_char_p),
+        ("limits", c_char_p),
+        ("without", c_char_p),
+        ("notes", c_char_p),
+        ("open_dictionary", c_int),
+        ("device", POINTER(_Device)),
+        ("stack", POINTER(_Stack)),
+    )
+
+
+def make(device: str, options: Mapping[str, str]) -> Adapter:
+    """Load the library at the path of the options, with one instance of what it holds."""
+    dut = _load(options["path"])
+    protocol: Protocol | None = None
+    if dut.stack or dut.protocols is None:
+        from ecatspec.conformance.devices import load
+
+        protocol = load(device)
+    description = _description(dut, protocol)
+    if not dut.stack:
+        if "poll" in options:
+            raise AdapterError("the library is a whole device and is not polled; leave out poll=")
+        return WholeDevice(dut, description)
+    assert protocol is not None
+    return BareStack(dut, description, protocol, options.get("poll"))
+
+
+def _load(path: str) -> _Dut:
+    try:
+        library = ctypes.CDLL(path)
+    except OSError as error:
+        raise AdapterError(f"cannot load the library: {error}") from None
+    entry = getattr(library, ENTRY, None)
+    if entry is None:
+        message = f"{path} does not export {ENTRY}(); see ecatspec_dut.h"
+        raise AdapterError(message)
+    entry.restype = c_void_p
+    address = entry()
+    if not address:
+        raise AdapterError(f"{ENTRY}() of {path} gives a null pointer; see ecatspec_dut.h")
+    abi = c_uint32.from_address(address).value
+    if abi != ABI:
+        message = f"{path} was built with version {abi} of ecatspec_dut.h, this ecatspec speaks "
+        message += f"{ABI}; build it with the header in the folder of `ecatspec adapters --include`"
+        raise AdapterError(message)
+    dut = _Dut.from_address(address)
+    if bool(dut.device) == bool(dut.stack):
+        message = f"{path} has {'both' if dut.device else 'none'} of `device` and `stack`; fill one"
+        raise AdapterError(message)
+    part, table = ("device", dut.device) if dut.device else ("stack", dut.stack)
+    for name, _ in table.contents._fields_:
+        needed = name != "local" or dut.locals
+        if needed and not getattr(table.contents, name):
+            raise AdapterError(f"{path} has no `{name}` in its table `{part}`; fill it in")
+    return dut
+
+
+def _description(dut: _Dut, protocol: Protocol | None) -> Description:
+    def text(name: str) -> str:
+        given: bytes | None = getattr(dut, name)
+        return "" if given is None else given.decode("utf-8", errors="replace")
+
+    protocols = set(text("protocols").split())
+    if dut.protocols is None and protocol is not None:
+        protocols = set(protocol.machines)
+    limits: dict[str, object] = {}
+    for word in text("limits").split():
+        name, _, number = word.partition("=")
+        limits[name] = int(number) if number.isascii() and number.isdigit() else number
+    try:
+        return Description.from_json(
+            {
+                "name": text("name") or "a device without a name",
+                "protocols": sorted(protocols),
+                "virtual_time": True,
+                "closed_dictionary": not dut.open_dictionary,
+                "notes": text("notes").splitlines(),
+                "limits": limits,
+                "without": text("without").split(),
+                "locals": text("locals").split(),
+            }
+        )
+    except ValueError as error:
+        raise AdapterError(f"the table of the library is wrong: {error}") from None
+
+
+class _Overrun(Exception):  # noqa: N818
+    """The library went beyond what it was given."""
+
+
+class WholeDevice:
+    """Level A: the library is the SubDevice."""
+
+    def __init__(self, dut: _Dut, description: Description) -> None:
+        self._functions = functions = dut.device.contents
+        self._description = description
+        self._device: int | None = _created(functions.create())
+        self._buffer = ctypes.create_string_buffer(ADDRESS_SPACE + len(_GUARD))
+        self._address = ctypes.addressof(self._buffer)
+        self._view = memoryview(self._buffer).cast("B")
+        # looked up once: these are the calls that a run is made of
+        self._read, self._write = functions.read, functions.write
+        functions.reset(self._device)
+
+    def reset(self) -> None:
+        """Power cycle."""
+        self._functions.reset(self._device)
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read as the MainDevice."""
+        check_span(address, length)
+        view, behind = self._view, length + len(_GUARD)
+        view[length:behind] = _GUARD
+        counter = self._read(self._device, address, self._address, length)
+        if view[length:behind].tobytes() != _GUARD:
+            raise _Overrun(f"a read of {length} bytes at {address:#06x} wrote more than that")
+        return counter, view[:length].tobytes() if counter else bytes(length)
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as the MainDevice."""
+        check_span(address, len(data))
+        counter: int = self._write(self._device, address, data, len(data))
+        return counter
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        check_duration(seconds)
+        self._functions.advance(self._device, round(seconds * _SECOND))
+
+    def local(self, event: str) -> None:
+        """Make a local event befall the device."""
+        _happen(self._functions.local, self._device, event)
+
+    def close(self) -> None:
+        """Destroy the device."""
+        device, self._device = self._device, None
+        if device is not None:
+            self._functions.destroy(device)
+
+    def describe(self) -> Description:
+        """What the table of the library says."""
+        return self._description
+
+
+class BareStack:
+    """Level B: the library is the stack, the ESC is ours."""
+
+    def __init__(
+        self, dut: _Dut, description: Description, protocol: Protocol, poll: str | None
+    ) -> None:
+        from ecatspec.model.bare import POLL, BareSubDevice
+
+        self._functions = functions = dut.stack.contents
+        self._description = description
+        self._fault: Exception | None = None
+        self._hooks = _Esc(
+            None,
+            _PDI_READ(self._guarded(self._pdi_read)),
+            _PDI_READ(self._guarded(self._pdi_write)),
+            _AL_EVENT(lambda _: self._esc.al_event()),
+        )
+        microseconds = POLL if poll is None else _microseconds(poll)
+        self._bare = BareSubDevice(protocol, self, microseconds)
+        self._stack: int | None = _created(functions.create(ctypes.byref(self._hooks)))
+        self._poll = functions.poll
+        self.reset()
+
+    @property
+    def _esc(self) -> Esc:
+        return self._bare.esc
+
+    # --- what the ESC wants of the stack ----------------------------------------------------------
+
+    def init(self) -> None:
+        """Power on."""
+        self._functions.init(self._stack)
+        self._check()
+
+    def poll(self, microseconds: int) -> None:
+        """Go once round the main loop."""
+        self._poll(self._stack, microseconds)
+        self._check()
+
+    # --- what the stack wants of the ESC ----------------------------------------------------------
+
+    def _guarded(
+        self, hook: Callable[[int, int, int], None]
+    ) -> Callable[[object, int, int, int], None]:
+        """Keep what goes wrong in a hook: ctypes would print it and go on."""
+
+        def call(_context: object, address: int, data: int, length: int) -> None:
+            try:
+                self._within(address, length)
+                hook(address, data, length)
+            except Exception as error:  # noqa: BLE001  raised again behind the stack
+                self._fault = self._fault or error
+
+        return call
+
+    def _within(self, address: int, length: int) -> None:
+        if not 0 < length <= self._esc.size - address:
+            raise _Overrun(f"{length} bytes at {address:#06x} are not in the memory of the ESC")
+
+    def _pdi_read(self, address: int, data: int, length: int) -> None:
+        ctypes.memmove(data, self._esc.pdi_read(address, length), length)
+
+    def _pdi_write(self, address: int, data: int, length: int) -> None:
+        self._esc.pdi_write(address, ctypes.string_at(data, length))
+
+    def _check(self) -> None:
+        if self._fault is not None:
+            raise self._fault
+
+    # --- the adapter ------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Power cycle."""
+        self._bare.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read as the MainDevice."""
+        check_span(address, length)
+        return self._bare.read(address, length)
+
+    def write(self, address: int, data: bytes) -> int:
+        """Write as the MainDevice."""
+        check_span(address, len(data))
+        return self._bare.write(address, data)
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        check_duration(seconds)
+        self._bare.advance(seconds)
+
+    def local(self, event: str) -> None:
+        """Make a local event befall the device."""
+        _happen(self._functions.local, self._stack, event)
+        self.poll(0)
+
+    def close(self) -> None:
+        """Destroy the stack."""
+        stack, self._stack = self._stack, None
+        if stack is not None:
+            self._functions.destroy(stack)
+
+    def describe(self) -> Description:
+        """What the table of the library says."""
+        return self._description
+
+
+def _created(instance: int | None) -> int:
+    if not instance:
+        raise AdapterError("`create` of the library gives a null pointer")
+    return instance
+
+
+def _happen(local: Callable[[int | None, bytes], int], instance: int | None, event: str) -> None:
+    if local(instance, event.encode()):
+        raise AdapterError(f"the library does not know the event {event!r} that it lists")
+
+
+def _microseconds(text: str) -> int:
+    try:
+        microseconds = round(float(text) * _SECOND)
+    except (ValueError, OverflowError):
+        microseconds = 0
+    if microseconds < 1:
+        raise AdapterError(f"poll={text} is no time between polls; give seconds, e.g. poll=0.001")
+    return microseconds

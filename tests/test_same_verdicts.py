@@ -1,0 +1,90 @@
+"""The only place for the test that the way to a device changes no verdict."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+import pytest
+from c_device import TEXT, WHERE, build
+from inetd import Served
+
+from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.devices import load
+from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.verdict import BLAMING
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.compiled import Model
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from ecatspec.conformance.verdict import Verdict
+    from ecatspec.generators.case import Case
+
+WAYS = ("lib", "tcp", "unix")
+"""Each beside a program on stdin and stdout."""
+PREFIXES = ("al/set_up/", "mailbox/", "sdo/transfer/", "process_data/", "ds402/up_again/")
+FAULTS = ("AL_CODE_FORGOTTEN", "SEGMENT_TOGGLE_UNCHECKED", "WATCHDOG_IGNORED", "RESET_BY_LEVEL")
+
+
+@cache
+def model() -> Model:
+    return Model(load(TEXT))
+
+
+@cache
+def cases() -> tuple[Case, ...]:
+    return tuple(all_cases(model(), NO_LIMITS, "quick"))
+
+
+def verdicts(dut: str, prefixes: tuple[str, ...]) -> list[Verdict]:
+    """Judge the cases of a quick run that begin so."""
+    adapter = open_adapter(dut, TEXT)
+    try:
+        runner = Runner(model(), adapter, adapter.describe())
+        return [runner.judge(case) for case in cases() if case.name.startswith(prefixes)]
+    finally:
+        adapter.close()
+
+
+def reached(way: str, folder: Path) -> Iterator[str]:
+    """Name the device of a folder for `--dut`, by this way; serve it meanwhile if need be."""
+    if way == "lib":
+        yield f"lib:{folder}/libslave.so"
+        return
+    with Served([str(folder / "slave")], f"{folder}/socket" if way == "unix" else "") as served:
+        yield served.dut
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build(tmp_path_factory.mktemp("c_slave"), "all", "library")
+
+
+@pytest.fixture(scope="module")
+def by_exec(folder: Path) -> list[Verdict]:
+    return verdicts(f"exec:{folder}/slave", PREFIXES)
+
+
+@pytest.mark.xdist_group("same verdicts")
+@pytest.mark.parametrize("way", WAYS)
+def test_every_way_gives_the_same_verdicts(way: str, folder: Path, by_exec: list[Verdict]) -> None:
+    assert len(by_exec) > 200
+    assert not [verdict for verdict in by_exec if verdict.outcome in BLAMING]
+    for dut in reached(way, folder):
+        assert verdicts(dut, PREFIXES) == by_exec
+
+
+@pytest.mark.xdist_group("same verdicts")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_every_way_finds_the_same_in_a_device_with_a_fault(fault: str, tmp_path: Path) -> None:
+    folder = build(tmp_path, "all", "library", f"FAULT={fault}")
+    prefixes = (WHERE[fault],)
+    found = verdicts(f"exec:{folder}/slave", prefixes)
+    assert any(verdict.outcome in BLAMING for verdict in found)
+    for way in WAYS:
+        for dut in reached(way, folder):
+            assert verdicts(dut, prefixes) == found, way

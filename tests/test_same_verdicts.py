@@ -12,7 +12,7 @@ from inetd import Served
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING
+from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
@@ -88,3 +88,21 @@ def test_every_way_finds_the_same_in_a_device_with_a_fault(fault: str, tmp_path:
     for way in WAYS:
         for dut in reached(way, folder):
             assert verdicts(dut, prefixes) == found, way
+
+
+def outcomes(found: list[Verdict]) -> list[tuple[str, Outcome]]:
+    return [(verdict.case, verdict.outcome) for verdict in found]
+
+
+@pytest.mark.xdist_group("same verdicts")
+def test_the_stack_above_our_esc_gives_them_too(folder: Path, by_exec: list[Verdict]) -> None:
+    """Level B; what its traces say may differ, since it is polled every millisecond."""
+    assert outcomes(verdicts(f"lib:{folder}/libstack.so", PREFIXES)) == outcomes(by_exec)
+
+
+@pytest.mark.xdist_group("same verdicts")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_the_stack_is_found_above_our_esc(fault: str, tmp_path: Path) -> None:
+    folder = build(tmp_path, "library", f"FAULT={fault}")
+    found = verdicts(f"lib:{folder}/libstack.so", (WHERE[fault],))
+    assert any(verdict.outcome in BLAMING for verdict in found)

@@ -15,13 +15,10 @@ enum {
     INVALID_INPUTS = 0x001E
 };
 
-/* The code comes before the status: a MainDevice that sees the error reads the code at once. */
 static void show(struct slave *slave)
 {
     const struct al *al = &slave->al;
-    put16(slave->esc.memory + REGISTER_AL_STATUS_CODE, al->code);
-    put16(slave->esc.memory + REGISTER_AL_STATUS,
-          (uint16_t)(al->state | (al->error ? ERROR_INDICATION : 0)));
+    esc_show_al(slave, (uint16_t)(al->state | (al->error ? ERROR_INDICATION : 0)), al->code);
 }
 
 void al_reset(struct slave *slave)
@@ -33,18 +30,18 @@ void al_reset(struct slave *slave)
     show(slave);
 }
 
-static int channel_fits(const struct channel *channel, int mailbox, int main_writes, uint16_t start,
-                        uint16_t length)
+static int fits(const struct manager *set, int mailbox, int main_writes, uint16_t start,
+                uint16_t length)
 {
-    return channel->enabled && channel->mailbox == mailbox && channel->main_writes == main_writes
-           && channel->start == start && channel->length == length;
+    return set->enabled && set->mailbox == mailbox && set->main_writes == main_writes
+           && set->start == start && set->length == length;
 }
 
 static int mailboxes_fit(const struct slave *slave)
 {
-    const struct channel *channels = slave->esc.channels;
-    return channel_fits(&channels[MAIL_OUT], 1, 1, MAILBOX_OUT_START, MAILBOX_OUT_LENGTH)
-           && channel_fits(&channels[MAIL_IN], 1, 0, MAILBOX_IN_START, MAILBOX_IN_LENGTH);
+    const struct manager *managers = slave->managers;
+    return fits(&managers[MAIL_OUT], 1, 1, MAILBOX_OUT_START, MAILBOX_OUT_LENGTH)
+           && fits(&managers[MAIL_IN], 1, 0, MAILBOX_IN_START, MAILBOX_IN_LENGTH);
 }
 
 int al_mailbox_works(const struct slave *slave)
@@ -55,13 +52,23 @@ int al_mailbox_works(const struct slave *slave)
 /* The code that says what is wrong with the process data settings, NO_ERROR if they fit. */
 static uint16_t process_data_error(const struct slave *slave)
 {
-    const struct channel *out = &slave->esc.channels[DATA_OUT], *in = &slave->esc.channels[DATA_IN];
-    uint16_t out_length = PLANTED(PDO_LENGTH_UNCHECKED) ? out->length : OUTPUTS_LENGTH;
-    uint16_t in_length = PLANTED(PDO_LENGTH_UNCHECKED) ? in->length : INPUTS_LENGTH;
-    if (!channel_fits(out, 0, 1, OUTPUTS_START, out_length)) {
+    const struct manager *out = &slave->managers[DATA_OUT], *in = &slave->managers[DATA_IN];
+    uint16_t out_length = PLANTED(PDO_LENGTH_UNCHECKED) ? out->length : outputs_length;
+    uint16_t in_length = PLANTED(PDO_LENGTH_UNCHECKED) ? in->length : inputs_length;
+    if (outputs_length > 0 && !fits(out, 0, 1, OUTPUTS_START, out_length)) {
         return INVALID_OUTPUTS;
     }
-    return channel_fits(in, 0, 0, INPUTS_START, in_length) ? NO_ERROR : INVALID_INPUTS;
+    return inputs_length > 0 && !fits(in, 0, 0, INPUTS_START, in_length) ? INVALID_INPUTS
+                                                                        : NO_ERROR;
+}
+
+void al_inputs(struct slave *slave)
+{
+    uint8_t image[LONGEST_IMAGE];
+    if (slave->al.state >= SAFEOP && inputs_length > 0) {
+        application_inputs(slave, image);
+        esc_write(slave->esc, INPUTS_START, image, inputs_length);
+    }
 }
 
 /* Enter a state without error. What runs only above it stops. */
@@ -72,17 +79,17 @@ static void enter(struct slave *slave, enum al_state state)
     slave->al.error = 0;
     slave->al.code = NO_ERROR;
     if (before == OP && state != OP) {
-        drive_disconnected(slave);
+        application_stopped(slave);
     }
     if (before == INIT && state == PREOP) {
         mailbox_start(slave);
     }
     if (before == PREOP && state == SAFEOP) {
         slave->al.fed = 0;
-        drive_inputs(slave);    /* inputs are there before AL Status says so */
+        al_inputs(slave);    /* inputs are there before AL Status says so */
     }
     if (before == SAFEOP && state == OP) {
-        drive_outputs(slave);
+        application_started(slave);
     }
 }
 
@@ -113,7 +120,7 @@ static uint16_t refusal(const struct slave *slave, int requested)
         if (state == INIT || state == PREOP) {
             return INVALID_STATE_CHANGE;
         }
-        return state == SAFEOP && !slave->al.fed ? WATCHDOG_EXPIRED : NO_ERROR;
+        return state == SAFEOP && outputs_length > 0 && !slave->al.fed ? WATCHDOG_EXPIRED : NO_ERROR;
     default:
         return PLANTED(AL_UNKNOWN_STATE) ? INVALID_STATE_CHANGE : UNKNOWN_STATE;
     }

@@ -1,6 +1,6 @@
 /* CiA 402: the drive state machine, and the process data that carry its words. */
+#include "application.h"
 #include "faults.h"
-#include "slave.h"
 
 #include <string.h>
 
@@ -23,8 +23,8 @@ static const uint8_t patterns[] = {
 /* Show the state. A drive that is enabled is where it shall be: this one has no mass. */
 static void show(struct slave *slave)
 {
-    struct values *values = &slave->values;
-    enum drive_state state = slave->drive.state;
+    struct values *values = &slave->application->values;
+    enum drive_state state = slave->application->drive.state;
     if (state == OPERATION_ENABLED) {
         memcpy(values->position, values->target_position, sizeof values->position);
     }
@@ -34,14 +34,15 @@ static void show(struct slave *slave)
 
 static void enter(struct slave *slave, enum drive_state state, uint32_t timer)
 {
-    slave->drive.state = state;
-    slave->drive.timer = timer;
+    slave->application->drive.state = state;
+    slave->application->drive.timer = timer;
     show(slave);
 }
 
-void drive_reset(struct slave *slave)
+void application_reset(struct slave *slave)
 {
-    memset(&slave->drive, 0, sizeof slave->drive);
+    objects_reset(&slave->application->values);
+    memset(&slave->application->drive, 0, sizeof slave->application->drive);
     enter(slave, NOT_READY, SELF_TEST);
 }
 
@@ -72,8 +73,8 @@ static enum drive_state commanded(enum drive_state state, int control)
 /* Look at the control word: commands count by their level, fault reset by its rising edge. */
 static void look(struct slave *slave, int reset)
 {
-    struct drive *drive = &slave->drive;
-    int control = get16(slave->values.control_word);
+    struct drive *drive = &slave->application->drive;
+    int control = get16(slave->application->values.control_word);
     if (PLANTED(RESET_BY_LEVEL)) {
         reset = control & FAULT_RESET;
     }
@@ -92,10 +93,12 @@ static void look(struct slave *slave, int reset)
 
 /* --- process data ---------------------------------------------------------------------------- */
 
-void drive_outputs(struct slave *slave)
+const uint16_t outputs_length = OUTPUTS_LENGTH, inputs_length = INPUTS_LENGTH;
+
+void application_started(struct slave *slave)
 {
-    struct values *values = &slave->values;
-    const uint8_t *image = slave->drive.outputs;
+    struct values *values = &slave->application->values;
+    const uint8_t *image = slave->application->drive.outputs;
     int before = get16(values->control_word);
     if (slave->al.state != OP && !PLANTED(OUTPUTS_IN_SAFEOP)) {
         return;
@@ -105,61 +108,73 @@ void drive_outputs(struct slave *slave)
     look(slave, get16(values->control_word) & ~before & FAULT_RESET);
 }
 
-void drive_inputs(struct slave *slave)
+void application_outputs(struct slave *slave, const uint8_t *image)
 {
-    const struct values *values = &slave->values;
-    uint8_t image[INPUTS_LENGTH];
-    if (slave->al.state < SAFEOP) {
-        return;
-    }
+    memcpy(slave->application->drive.outputs, image, OUTPUTS_LENGTH);
+    application_started(slave);
+}
+
+void application_inputs(struct slave *slave, uint8_t *image)
+{
+    const struct values *values = &slave->application->values;
     show(slave);
     memcpy(image, values->status_word, 2);
     memcpy(image + 2, values->position, 4);
     memcpy(image + 6, values->mode_shown, 1);
-    esc_put_inputs(&slave->esc, image);
 }
 
 /* --- what comes by itself -------------------------------------------------------------------- */
 
 /* The self-test, a quick stop or the reaction to a fault is done, if the drive is at that. */
-void drive_done(struct slave *slave, enum drive_state state)
+static void done(struct slave *slave, enum drive_state state)
 {
-    if (slave->drive.state == state) {
+    if (slave->application->drive.state == state) {
         enter(slave, state == FAULT_REACTION_ACTIVE ? IN_FAULT : SWITCH_ON_DISABLED, 0);
     }
 }
 
-void drive_advance(struct slave *slave, uint32_t microseconds)
+void application_advance(struct slave *slave, uint32_t microseconds)
 {
-    struct drive *drive = &slave->drive;
+    struct drive *drive = &slave->application->drive;
     if (drive->timer > microseconds) {
         drive->timer -= microseconds;
     } else if (drive->timer > 0) {
-        drive_done(slave, drive->state);
+        done(slave, drive->state);
     }
     if (slave->al.state == OP) {
         look(slave, 0);
     }
 }
 
-/* OP ended. */
-void drive_disconnected(struct slave *slave)
+void application_stopped(struct slave *slave)
 {
-    enum drive_state state = slave->drive.state;
+    enum drive_state state = slave->application->drive.state;
     if (state >= READY_TO_SWITCH_ON && state <= QUICK_STOP_ACTIVE) {
         enter(slave, SWITCH_ON_DISABLED, 0);
     }
 }
 
-void drive_fault(struct slave *slave)
-{
-    slave->drive.cause = 1;
-    if (slave->drive.state < FAULT_REACTION_ACTIVE) {
-        enter(slave, FAULT_REACTION_ACTIVE, REACTION);
-    }
-}
+static const char fault[] = "ds402.fault", fault_gone[] = "ds402.fault_gone";
+static const char stopped[] = "ds402.stopped", reaction_done[] = "ds402.reaction_done";
 
-void drive_fault_gone(struct slave *slave)
+const char *const application_events[] = { fault, fault_gone, stopped, reaction_done, NULL };
+
+int application_local(struct slave *slave, const char *event)
 {
-    slave->drive.cause = 0;
+    struct drive *drive = &slave->application->drive;
+    if (strcmp(event, fault) == 0) {
+        drive->cause = 1;
+        if (drive->state < FAULT_REACTION_ACTIVE) {
+            enter(slave, FAULT_REACTION_ACTIVE, REACTION);
+        }
+    } else if (strcmp(event, fault_gone) == 0) {
+        drive->cause = 0;
+    } else if (strcmp(event, stopped) == 0) {
+        done(slave, QUICK_STOP_ACTIVE);
+    } else if (strcmp(event, reaction_done) == 0) {
+        done(slave, FAULT_REACTION_ACTIVE);
+    } else {
+        return -1;
+    }
+    return 0;
 }

@@ -12,16 +12,16 @@ void mailbox_start(struct slave *slave)
 {
     struct mailbox *mailbox = &slave->mailbox;
     memset(mailbox, 0, sizeof *mailbox);
-    mailbox->repeat_acknowledged = esc_repeat_bit(&slave->esc);
-    esc_acknowledge_repeat(&slave->esc, mailbox->repeat_acknowledged);
-    esc_drop_mail(&slave->esc);    /* a reply from before has lost its request */
+    mailbox->repeat_acknowledged = slave->managers[MAIL_IN].repeat;
+    esc_drop_mail(slave);    /* a reply from before has lost its request */
     sdo_start(slave);
 }
 
 static void put(struct slave *slave, const uint8_t message[MAILBOX_IN_LENGTH])
 {
     memcpy(slave->mailbox.present, message, MAILBOX_IN_LENGTH);
-    esc_put_mail(&slave->esc, message);
+    slave->mailbox.unread = 1;
+    esc_put_mail(slave, message);
 }
 
 /* The MainDevice has read a message: keep it for a repeat, send what that had pushed aside. */
@@ -40,20 +40,21 @@ static void read_by_main_device(struct slave *slave)
 void mailbox_repeat(struct slave *slave)
 {
     struct mailbox *mailbox = &slave->mailbox;
-    int bit = esc_repeat_bit(&slave->esc);
+    int bit = slave->managers[MAIL_IN].repeat;
     if (!al_mailbox_works(slave) || bit == mailbox->repeat_acknowledged) {
         return;
     }
     if (mailbox->has_last) {
-        if (slave->esc.channels[MAIL_IN].full && !mailbox->has_waiting) {
+        if (mailbox->unread && !mailbox->has_waiting) {
             memcpy(mailbox->waiting, mailbox->present, MAILBOX_IN_LENGTH);
             mailbox->has_waiting = 1;
         }
+        esc_drop_mail(slave);
         put(slave, mailbox->last);
     }
     mailbox->repeat_acknowledged = bit;
     if (!PLANTED(REPEAT_UNACKNOWLEDGED)) {
-        esc_acknowledge_repeat(&slave->esc, bit);
+        esc_acknowledge_repeat(slave, bit);
     }
 }
 
@@ -81,14 +82,13 @@ static int answer(struct slave *slave, const uint8_t *request, uint8_t *reply)
     return coe_serve(slave, request + HEADER, length, reply);
 }
 
-static void serve_request(struct slave *slave)
+static void serve_request(struct slave *slave, const uint8_t *request)
 {
     struct mailbox *mailbox = &slave->mailbox;
     uint8_t reply[MAILBOX_IN_LENGTH], type = TYPE_COE;
     int length;
     memset(reply, 0, sizeof reply);
-    length = answer(slave, slave->esc.memory + MAILBOX_OUT_START, reply + HEADER);
-    esc_free_mail(&slave->esc);
+    length = answer(slave, request, reply + HEADER);
     if (length == 0) {
         return;
     }
@@ -108,16 +108,17 @@ static void serve_request(struct slave *slave)
 /* One message at a time: a request waits while the reply before is unread. */
 void mailbox_serve(struct slave *slave)
 {
-    const struct channel *channels = slave->esc.channels;
-    int fetched = esc_take_fetched(&slave->esc);
+    struct mailbox *mailbox = &slave->mailbox;
+    uint8_t request[MAILBOX_OUT_LENGTH];
     if (!al_mailbox_works(slave)) {
-        esc_free_mail(&slave->esc);
+        esc_free_mail(slave);
         return;
     }
-    if (fetched) {
+    if (mailbox->unread && esc_mail_read(slave)) {
+        mailbox->unread = 0;
         read_by_main_device(slave);
     }
-    if (channels[MAIL_OUT].full && !channels[MAIL_IN].full) {
-        serve_request(slave);
+    if (!mailbox->unread && esc_take_mail(slave, request)) {
+        serve_request(slave, request);
     }
 }

@@ -3,7 +3,7 @@
  *   {"op":"describe"}  {"op":"reset"}  {"op":"close"}
  *   {"op":"read","address":304,"length":2}   {"op":"write","address":288,"data":"0200"}
  *   {"op":"advance","seconds":0.5}           {"op":"local","event":"ds402.fault"} */
-#include "slave.h"
+#include "device.h"
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,7 +11,7 @@
 
 enum { LONGEST_LINE = 1 << 18, MICROSECONDS = 1000000 };
 
-static struct slave slave;
+static struct device device;
 static char line[LONGEST_LINE];
 static uint8_t bytes[ESC_SIZE];
 
@@ -102,8 +102,8 @@ static void describe(void)
     printf("{\"ok\":true,\"description\":{\"name\":\"c_slave\",\"protocols\":[\"al\",\"coe\","
            "\"ds402\",\"emergency\",\"esc\",\"mailbox\",\"process_data\",\"sdo\","
            "\"sdo_information\"],\"virtual_time\":true,\"closed_dictionary\":true,\"locals\":[");
-    for (n = 0; slave_events[n] != NULL; n++) {
-        printf("%s\"%s\"", n > 0 ? "," : "", slave_events[n]);
+    for (n = 0; application_events[n] != NULL; n++) {
+        printf("%s\"%s\"", n > 0 ? "," : "", application_events[n]);
     }
     printf("]}}\n");
 }
@@ -117,7 +117,7 @@ static void read_memory(const struct request *request)
         complain("read needs an address and a length inside the memory");
         return;
     }
-    counter = slave_read(&slave, (uint16_t)request->address, bytes, (size_t)request->length);
+    counter = device_read(&device, (uint16_t)request->address, bytes, (size_t)request->length);
     printf("{\"ok\":true,\"wkc\":%d,\"data\":\"", counter);
     for (n = 0; n < request->length; n++) {
         printf("%02x", bytes[n]);
@@ -149,7 +149,7 @@ static void write_memory(const struct request *request)
         bytes[n] = (uint8_t)(high << 4 | low);
     }
     printf("{\"ok\":true,\"wkc\":%d}\n",
-           slave_write(&slave, (uint16_t)request->address, bytes, (size_t)length));
+           device_write(&device, (uint16_t)request->address, bytes, (size_t)length));
 }
 
 static void advance(const struct request *request)
@@ -160,9 +160,9 @@ static void advance(const struct request *request)
         return;
     }
     for (; left > UINT32_MAX; left -= UINT32_MAX) {
-        slave_advance(&slave, UINT32_MAX);
+        device_advance(&device, UINT32_MAX);
     }
-    slave_advance(&slave, (uint32_t)left);
+    device_advance(&device, (uint32_t)left);
     puts("{\"ok\":true}");
 }
 
@@ -178,13 +178,13 @@ static int serve(const struct request *request)
     } else if (strcmp(request->op, "advance") == 0) {
         advance(request);
     } else if (strcmp(request->op, "local") == 0) {
-        if (request->event == NULL || slave_local(&slave, request->event) != 0) {
+        if (request->event == NULL || device_local(&device, request->event) != 0) {
             complain("local needs an event of the description");
         } else {
             puts("{\"ok\":true}");
         }
     } else if (strcmp(request->op, "reset") == 0) {
-        slave_reset(&slave);
+        device_reset(&device);
         puts("{\"ok\":true}");
     } else if (strcmp(request->op, "close") == 0) {
         puts("{\"ok\":true}");
@@ -199,7 +199,7 @@ int main(void)
 {
     struct request request;
     int more = 1;
-    slave_reset(&slave);
+    device_reset(&device);
     while (more && fgets(line, sizeof line, stdin) != NULL) {
         if (take_request(line, &request)) {
             more = serve(&request);

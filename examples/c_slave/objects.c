@@ -1,6 +1,6 @@
 /* The object dictionary: what slave.ecs lists, and who may read and write it when. */
+#include "application.h"
 #include "faults.h"
-#include "slave.h"
 
 #include <string.h>
 
@@ -70,11 +70,10 @@ static const struct object objects[] = {
 
 enum { OBJECTS = sizeof objects / sizeof objects[0] };
 
-void objects_reset(struct slave *slave)
+void objects_reset(struct values *values)
 {
     static const char note[] =
         "a note of the user that is too long for one message and travels in segments";
-    struct values *values = &slave->values;
     memset(values, 0, sizeof *values);
     memcpy(values->note, note, sizeof note - 1);
     values->note_length = sizeof note - 1;
@@ -98,11 +97,6 @@ static const struct object *find(uint16_t index, uint8_t subindex)
     return NULL;
 }
 
-int object_exists(uint16_t index)
-{
-    return find(index, 0) != NULL;
-}
-
 size_t object_size(uint16_t index, uint8_t subindex)
 {
     const struct object *object = find(index, subindex);
@@ -111,7 +105,7 @@ size_t object_size(uint16_t index, uint8_t subindex)
 
 static uint32_t missing(uint16_t index)
 {
-    return object_exists(index) && !PLANTED(SDO_WRONG_ABORT) ? ABORT_NO_SUBINDEX : ABORT_NO_OBJECT;
+    return find(index, 0) != NULL && !PLANTED(SDO_WRONG_ABORT) ? ABORT_NO_SUBINDEX : ABORT_NO_OBJECT;
 }
 
 /* A text may be shorter than its object, everything else has one size. */
@@ -120,9 +114,10 @@ static int is_text(const struct object *object)
     return object->offset == offsetof(struct values, note);
 }
 
-uint32_t object_upload(const struct slave *slave, uint16_t index, uint8_t subindex, uint8_t *data,
-                       size_t *length)
+uint32_t object_read(struct slave *slave, uint16_t index, uint8_t subindex, uint8_t *data,
+                     size_t *length)
 {
+    const struct values *values = &slave->application->values;
     const struct object *object = find(index, subindex);
     uint8_t number[4];
     if (object == NULL) {
@@ -134,9 +129,9 @@ uint32_t object_upload(const struct slave *slave, uint16_t index, uint8_t subind
     if (!(object->readable & slave->al.state) && !PLANTED(SDO_STATE_UNCHECKED)) {
         return ABORT_STATE;
     }
-    *length = is_text(object) ? slave->values.note_length : object->size;
+    *length = is_text(object) ? values->note_length : object->size;
     if (object->offset != CONSTANT) {
-        memcpy(data, (const uint8_t *)&slave->values + object->offset, *length);
+        memcpy(data, (const uint8_t *)values + object->offset, *length);
     } else if (object->text != NULL) {
         memcpy(data, object->text, *length);
     } else {
@@ -146,12 +141,9 @@ uint32_t object_upload(const struct slave *slave, uint16_t index, uint8_t subind
     return ABORT_NONE;
 }
 
-uint32_t object_announce(const struct slave *slave, uint16_t index, uint8_t subindex, size_t length)
+/* What can be judged before the data have come. */
+static uint32_t announced(const struct slave *slave, const struct object *object, size_t length)
 {
-    const struct object *object = find(index, subindex);
-    if (object == NULL) {
-        return missing(index);
-    }
     if (object->writable == NEVER) {
         return ABORT_READ_ONLY;
     }
@@ -183,16 +175,24 @@ static uint32_t out_of_range(const struct object *object, const uint8_t *data)
     return value < object->lowest && !PLANTED(SDO_RANGE_ONE_SIDED) ? ABORT_TOO_LOW : ABORT_NONE;
 }
 
-uint32_t object_download(struct slave *slave, uint16_t index, uint8_t subindex, const uint8_t *data,
-                         size_t length)
+uint32_t object_write(struct slave *slave, uint16_t index, uint8_t subindex, const uint8_t *data,
+                      size_t length)
 {
     const struct object *object = find(index, subindex);
-    struct values *values = &slave->values;
-    uint8_t *at = (uint8_t *)values + object->offset;
-    uint32_t code = out_of_range(object, data);
+    struct values *values = &slave->application->values;
+    uint8_t *at;
+    uint32_t code;
+    if (object == NULL) {
+        return missing(index);
+    }
+    if (data == NULL) {
+        return announced(slave, object, length);
+    }
+    code = out_of_range(object, data);
     if (code != ABORT_NONE) {
         return code;
     }
+    at = (uint8_t *)values + object->offset;
     if (at == values->mode && data[0] != CYCLIC_SYNCHRONOUS_POSITION) {
         return ABORT_RANGE;
     }

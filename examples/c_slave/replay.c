@@ -3,33 +3,33 @@
  *     ecatspec export slave.ecs --format c -o vectors.h
  *     make replay VECTORS=vectors.h && build/replay
  */
-#include "slave.h"
+#include "device.h"
 #include VECTORS
 
 #include <stdio.h>
 
-static struct slave slave;
+static struct device device;
 
-static void bench_reset(void *context) { slave_reset(context); }
+static void bench_reset(void *context) { device_reset(context); }
 
 static int bench_read(void *context, uint16_t address, uint8_t *data, size_t length)
 {
-    return slave_read(context, address, data, length);
+    return device_read(context, address, data, length);
 }
 
 static int bench_write(void *context, uint16_t address, const uint8_t *data, size_t length)
 {
-    return slave_write(context, address, data, length);
+    return device_write(context, address, data, length);
 }
 
-static void bench_advance(void *context, uint32_t microseconds) { slave_advance(context, microseconds); }
+static void bench_advance(void *context, uint32_t microseconds) { device_advance(context, microseconds); }
 
-static int bench_local(void *context, const char *event) { return slave_local(context, event) == 0; }
+static int bench_local(void *context, const char *event) { return device_local(context, event) == 0; }
 
 int main(void)
 {
     const struct ecatspec_target target = {
-        &slave, bench_reset, bench_read, bench_write, bench_advance, bench_local
+        &device, bench_reset, bench_read, bench_write, bench_advance, bench_local
     };
     static const char *const words[] = { "passed", "ended early", "skipped", "FAILED" };
     unsigned counts[4] = { 0, 0, 0, 0 };

@@ -56,7 +56,7 @@ static int respond_segment(struct sdo *sdo, uint8_t *reply, int command)
 static int initiate_upload(struct slave *slave, uint8_t *reply)
 {
     struct sdo *sdo = &slave->sdo;
-    uint32_t code = object_upload(slave, sdo->index, sdo->subindex, sdo->data, &sdo->size);
+    uint32_t code = object_read(slave, sdo->index, sdo->subindex, sdo->data, &sdo->size);
     if (code != ABORT_NONE) {
         return refuse(sdo, reply, code);
     }
@@ -114,9 +114,9 @@ static int download_expedited(struct slave *slave, const uint8_t *request, uint8
         }
         size = lesser(size, object_size(sdo->index, sdo->subindex));
     }
-    code = object_announce(slave, sdo->index, sdo->subindex, size);
+    code = object_write(slave, sdo->index, sdo->subindex, NULL, size);
     if (code == ABORT_NONE) {
-        code = object_download(slave, sdo->index, sdo->subindex, request + AT_DATA, size);
+        code = object_write(slave, sdo->index, sdo->subindex, request + AT_DATA, size);
     }
     return code != ABORT_NONE ? refuse(sdo, reply, code)
            : respond(reply, SDO_RESPONSE, RESPONSE_DOWNLOAD, sdo->index, sdo->subindex);
@@ -132,10 +132,10 @@ static int download_normal(struct slave *slave, const uint8_t *request, size_t l
     if (!(command & SIZE_INDICATED) || command & UNUSED || size < present) {
         return refuse(sdo, reply, ABORT_LENGTH);
     }
-    code = object_announce(slave, sdo->index, sdo->subindex, size);
+    code = object_write(slave, sdo->index, sdo->subindex, NULL, size);
     if (code == ABORT_NONE && present == size) {
-        code = object_download(slave, sdo->index, sdo->subindex, request + INITIATE_NORMAL_DATA,
-                               size);
+        code = object_write(slave, sdo->index, sdo->subindex, request + INITIATE_NORMAL_DATA,
+                            size);
     } else if (code == ABORT_NONE) {
         sdo->transfer = DOWNLOAD;
         sdo->toggle = 0;
@@ -173,7 +173,7 @@ static int download_segment(struct slave *slave, const uint8_t *request, size_t 
             return refuse(sdo, reply, ABORT_TOO_SHORT);
         }
         sdo->transfer = NO_TRANSFER;
-        code = object_download(slave, sdo->index, sdo->subindex, sdo->data, sdo->done);
+        code = object_write(slave, sdo->index, sdo->subindex, sdo->data, sdo->done);
     }
     return code != ABORT_NONE ? refuse(sdo, reply, code)
            : respond_segment(sdo, reply, RESPONSE_DOWNLOAD_SEGMENT);
@@ -189,7 +189,7 @@ static int initiate(struct slave *slave, const uint8_t *request, size_t length, 
     sdo->index = get16(request + AT_INDEX);
     sdo->subindex = request[AT_SUBINDEX];
     if (request[AT_COMMAND] & COMPLETE_ACCESS) {
-        return refuse(sdo, reply, object_exists(sdo->index) ? ABORT_UNSUPPORTED_ACCESS
+        return refuse(sdo, reply, object_size(sdo->index, 0) ? ABORT_UNSUPPORTED_ACCESS
                                                             : ABORT_NO_OBJECT);
     }
     if (request[AT_COMMAND] >> 5 == INITIATE_UPLOAD) {

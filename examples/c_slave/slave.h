@@ -1,15 +1,16 @@
-/* A small EtherCAT SubDevice: everything that a MainDevice sees of a drive, without hardware.
+/* The stack of a small EtherCAT SubDevice: what runs on the processor of a device, without hardware.
  *
  * All state is in one struct, time comes from outside, and nothing is allocated. Each file looks
  * after one part of it:
  *
- *   slave.c    the way in: what a MainDevice reads and writes, time, local events; the main loop
+ *   slave.c    the main loop
  *   al.c       AL state machine, AL status codes, watchdog of the process data
  *   mailbox.c  mailbox header, counters, repeats, error replies
  *   sdo.c      CoE: SDO expedited, normal and segmented
- *   objects.c  object dictionary
- *   drive.c    CiA 402 and the process data
- *   esc.c      registers, SyncManagers, buffers: what a chip does in a real device
+ *   esc.c      what the stack wants of the ESC, through the three functions of the hardware layer
+ *
+ * Below it is the hardware layer, above it the application: both belong to a device. Here they are
+ * chip.c, and objects.c with drive.c; examples/c_level_b has others.
  */
 #ifndef SLAVE_H
 #define SLAVE_H
@@ -22,16 +23,21 @@
 enum {
     MAILBOX_OUT_START = 0x1000, MAILBOX_OUT_LENGTH = 48,
     MAILBOX_IN_START  = 0x1080, MAILBOX_IN_LENGTH  = 48,
-    OUTPUTS_START     = 0x1100, OUTPUTS_LENGTH     = 6,
-    INPUTS_START      = 0x1400, INPUTS_LENGTH      = 7,
-    NOTE_LENGTH       = 120
+    OUTPUTS_START     = 0x1100,
+    INPUTS_START      = 0x1400,
+    LONGEST_IMAGE     = 64,
+    LONGEST_OBJECT    = 120
 };
 
-/* --- esc.c ----------------------------------------------------------------------------------- */
+/* --- the hardware layer: the ESC as a processor sees it --------------------------------------- */
 
-enum { ESC_SIZE = 0x10000, ESC_PROCESS_MEMORY = 0x1000, SYNC_MANAGERS = 4, NO_BUFFER = 3 };
+struct esc;
 
-enum sync_manager { MAIL_OUT, MAIL_IN, DATA_OUT, DATA_IN };
+uint32_t esc_events(struct esc *esc);    /* the register AL Event Request */
+void esc_read(struct esc *esc, uint16_t address, void *data, size_t length);
+void esc_write(struct esc *esc, uint16_t address, const void *data, size_t length);
+
+/* --- registers ------------------------------------------------------------------------------- */
 
 enum {
     REGISTER_STATION_ADDRESS  = 0x0010,
@@ -47,42 +53,45 @@ enum {
     REGISTERS_END             = 0x0820
 };
 
-/* A SyncManager as its registers set it, and what became of its buffers. A mailbox has one, in
- * which `full` says whose it is; process data have three behind each other. */
-struct channel {
-    int enabled, mailbox, main_writes;
+/* Of one SyncManager. */
+enum { AT_CONTROL = 4, AT_STATUS = 5, AT_ACTIVATION = 6, AT_PDI_CONTROL = 7, MANAGER_SIZE = 8 };
+enum { MODE_MASK = 0x03, MODE_BUFFERED = 0x00, MODE_MAILBOX = 0x02, DIRECTION_MASK = 0x0C,
+       MAIN_WRITES = 0x04, WATCHDOG_TRIGGER = 0x40 };
+enum { ENABLED = 0x01, REPEAT = 0x02, FULL = 0x08 };                   /* activation, status */
+enum { DEACTIVATED = 0x01, REPEAT_ACKNOWLEDGED = 0x02 };               /* PDI control */
+
+/* --- esc.c ----------------------------------------------------------------------------------- */
+
+enum {
+    EVENT_AL_CONTROL = 1u << 0,
+    EVENT_SETTINGS   = 1u << 4,
+    EVENT_WATCHDOG   = 1u << 6,
+    EVENT_MANAGER_0  = 1u << 8
+};
+
+enum { SYNC_MANAGERS = 4 };
+enum sync_manager { MAIL_OUT, MAIL_IN, DATA_OUT, DATA_IN };
+
+/* A SyncManager as its registers set it. */
+struct manager {
     uint16_t start, length;
-    int full;                            /* mailbox: a message waits for the reader */
-    uint8_t newest, writing, reading;    /* process data: numbers of buffers, or NO_BUFFER */
-    int written, taken;                  /* process data: completed by the writer, by the reader */
+    int enabled, mailbox, main_writes, repeat;
 };
 
-struct esc {
-    uint8_t memory[ESC_SIZE];
-    struct channel channels[SYNC_MANAGERS];
-    int fetched;            /* the MainDevice has emptied the mailbox since the device looked */
-    uint32_t watchdog;      /* microseconds until the watchdog of the process data expires */
-    int watchdog_runs;
-};
+struct slave;
 
-void esc_reset(struct esc *esc);
-int esc_main_read(struct esc *esc, uint16_t address, uint8_t *data, size_t length);
-int esc_main_write(struct esc *esc, uint16_t address, const uint8_t *data, size_t length);
-
-/* The side of the device. Reading an event takes it; a message is read in place and then freed.
- * A real device drops a message by switching the SyncManager off and on. */
-int esc_take_al_control(struct esc *esc, uint16_t *control);
-int esc_take_settings(struct esc *esc);
-int esc_take_fetched(struct esc *esc);
-int esc_take_outputs(struct esc *esc, uint8_t image[OUTPUTS_LENGTH]);
-void esc_put_inputs(struct esc *esc, const uint8_t image[INPUTS_LENGTH]);
-void esc_free_mail(struct esc *esc);
-void esc_put_mail(struct esc *esc, const uint8_t message[MAILBOX_IN_LENGTH]);
-void esc_drop_mail(struct esc *esc);
-int esc_repeat_bit(const struct esc *esc);
-void esc_acknowledge_repeat(struct esc *esc, int bit);
-int esc_watchdog_on(const struct esc *esc);
-int esc_watchdog_expires(struct esc *esc, uint32_t microseconds);
+/* Reading an event takes it. A message is dropped by switching the SyncManager off and on. */
+int esc_take_settings(struct slave *slave);
+int esc_take_al_control(struct slave *slave, uint16_t *control);
+int esc_take_watchdog(struct slave *slave);
+int esc_take_outputs(struct slave *slave, uint8_t *image);
+int esc_take_mail(struct slave *slave, uint8_t message[MAILBOX_OUT_LENGTH]);
+void esc_free_mail(struct slave *slave);    /* without looking at it */
+int esc_mail_read(struct slave *slave);     /* whether what was put is no longer there */
+void esc_put_mail(struct slave *slave, const uint8_t message[MAILBOX_IN_LENGTH]);
+void esc_drop_mail(struct slave *slave);
+void esc_acknowledge_repeat(struct slave *slave, int bit);
+void esc_show_al(struct slave *slave, uint16_t status, uint16_t code);
 
 uint16_t get16(const uint8_t *bytes);
 uint32_t get32(const uint8_t *bytes);
@@ -106,6 +115,7 @@ struct mailbox {
     uint8_t last_counter;                /* of the last request; 0 is never a duplicate */
     uint8_t own_counter;                 /* of the last reply, 1 to 7 */
     int repeat_acknowledged;             /* the repeat bit as it was answered last */
+    int unread;                          /* a message of ours lies in the mailbox */
     int has_last, has_waiting;
     uint8_t present[MAILBOX_IN_LENGTH];  /* what lies in the mailbox */
     uint8_t last[MAILBOX_IN_LENGTH];     /* what was read last: a repeat sends it again */
@@ -122,63 +132,33 @@ struct sdo {
     uint8_t subindex;
     uint8_t toggle;              /* of the next segment */
     size_t size, done;           /* bytes announced, bytes that have travelled */
-    uint8_t data[NOTE_LENGTH];   /* the longest object */
-};
-
-/* --- objects.c ------------------------------------------------------------------------------- */
-
-/* The objects that can change. The others are constants of the dictionary. */
-struct values {
-    uint8_t note[NOTE_LENGTH];
-    size_t note_length;
-    uint8_t limit[2], turns[8], key[4], tuning[2], load[2], gain_of_position[2], gain_of_velocity[1];
-    uint8_t control_word[2], status_word[2], mode[1], mode_shown[1], position[4], target_position[4];
-};
-
-/* --- drive.c --------------------------------------------------------------------------------- */
-
-enum drive_state {
-    NOT_READY, SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, SWITCHED_ON,
-    OPERATION_ENABLED, QUICK_STOP_ACTIVE, FAULT_REACTION_ACTIVE, IN_FAULT
-};
-
-struct drive {
-    enum drive_state state;
-    int cause;          /* the cause of the fault is still there */
-    uint32_t timer;     /* microseconds until self-test, quick stop or reaction is done; 0: off */
-    uint8_t outputs[OUTPUTS_LENGTH];    /* the newest ones; they act in OP */
+    uint8_t data[LONGEST_OBJECT];
 };
 
 /* --- slave.c --------------------------------------------------------------------------------- */
 
 struct slave {
-    struct esc esc;
+    struct esc *esc;                    /* of the hardware layer */
+    struct application *application;    /* of the application */
+    uint32_t events;                    /* when this round of the main loop began */
+    struct manager managers[SYNC_MANAGERS];
     struct al al;
     struct mailbox mailbox;
     struct sdo sdo;
-    struct values values;
-    struct drive drive;
 };
 
-/* Power cycle. */
-void slave_reset(struct slave *slave);
+/* Power on: the ESC is as after its reset. */
+void slave_init(struct slave *slave, struct esc *esc, struct application *application);
 
-/* Read or write as a MainDevice. Returns the working counter: 0 where the access is refused. */
-int slave_read(struct slave *slave, uint16_t address, uint8_t *data, size_t length);
-int slave_write(struct slave *slave, uint16_t address, const uint8_t *data, size_t length);
-
-/* Let time pass. */
-void slave_advance(struct slave *slave, uint32_t microseconds);
-
-/* Make something befall the device, named as slave_events has it. Returns 0 if it knows the event. */
-int slave_local(struct slave *slave, const char *event);
-extern const char *const slave_events[];    /* ends with a null pointer */
+/* One round of the main loop; so much time has passed since the last one. */
+void slave_poll(struct slave *slave, uint32_t microseconds);
 
 /* --- what the layers give each other --------------------------------------------------------- */
 
 void al_reset(struct slave *slave);
 void al_request(struct slave *slave, uint16_t control);
 void al_settings_changed(struct slave *slave);
+void al_inputs(struct slave *slave);
 void al_watchdog_expired(struct slave *slave);
 int al_mailbox_works(const struct slave *slave);
 
@@ -191,8 +171,9 @@ void mailbox_repeat(struct slave *slave);
 int coe_serve(struct slave *slave, const uint8_t *request, size_t length, uint8_t *reply);
 void sdo_start(struct slave *slave);
 
-void objects_reset(struct slave *slave);
-/* SDO abort codes. The functions of the dictionary return one of them. */
+/* --- the application ------------------------------------------------------------------------- */
+
+/* SDO abort codes. */
 enum {
     ABORT_NONE                   = 0,
     ABORT_TOGGLE                 = 0x05030000,
@@ -213,22 +194,20 @@ enum {
     ABORT_STATE                  = 0x08000022
 };
 
-/* `announce` is all that can be judged before the data have come, `download` the rest. */
-uint32_t object_upload(const struct slave *slave, uint16_t index, uint8_t subindex, uint8_t *data,
-                       size_t *length);
-uint32_t object_announce(const struct slave *slave, uint16_t index, uint8_t subindex, size_t length);
-uint32_t object_download(struct slave *slave, uint16_t index, uint8_t subindex, const uint8_t *data,
-                         size_t length);
-int object_exists(uint16_t index);
+/* Objects: read and write return an abort code. Without data, `write` tells whether it would take so
+ * many bytes. The size of an object that is not there is 0. */
+uint32_t object_read(struct slave *slave, uint16_t index, uint8_t subindex, uint8_t *data,
+                     size_t *length);
+uint32_t object_write(struct slave *slave, uint16_t index, uint8_t subindex, const uint8_t *data,
+                      size_t length);
 size_t object_size(uint16_t index, uint8_t subindex);
 
-void drive_reset(struct slave *slave);
-void drive_outputs(struct slave *slave);
-void drive_inputs(struct slave *slave);
-void drive_advance(struct slave *slave, uint32_t microseconds);
-void drive_disconnected(struct slave *slave);
-void drive_fault(struct slave *slave);
-void drive_fault_gone(struct slave *slave);
-void drive_done(struct slave *slave, enum drive_state state);
+/* Process data: their lengths, at most LONGEST_IMAGE, and what becomes of them. */
+extern const uint16_t outputs_length, inputs_length;
+void application_outputs(struct slave *slave, const uint8_t *image);    /* in SAFEOP and OP */
+void application_inputs(struct slave *slave, uint8_t *image);
+void application_started(struct slave *slave);                          /* OP begins */
+void application_stopped(struct slave *slave);                          /* OP ended */
+void application_advance(struct slave *slave, uint32_t microseconds);
 
 #endif

@@ -437,8 +437,10 @@ class Esc:
             if not channel.main_writes and channel.reaches_end(address, len(data)):
                 self._set_full(channel, full=True)
                 self._events &= ~self._event_of(channel.name)
-        controls = (self._protocol.registers[f"{name}_pdi_control"] for name in _ALL)
-        if any(_overlap(control, address, len(data)) for control in controls):
+        if address < self._registers_end and any(
+            _overlap(self._protocol.registers[f"{name}_pdi_control"], address, len(data))
+            for name in _ALL
+        ):
             self._arrange()
             self._arrange_process_data()
 

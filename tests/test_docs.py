@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import re
+import shlex
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 import pytest
+from c_device import library
 
+from ecatspec.conformance.adapters import ADAPTERS, open_adapter
+from ecatspec.conformance.kit import check_adapter
+from ecatspec.conformance.runner import run_device
+from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators import vectors
 from ecatspec.model.compiled import Model
 from ecatspec.model.functions import PLAIN
@@ -106,3 +113,38 @@ def test_the_sample_is_a_test_as_a_file_has_it() -> None:
     assert [list(step) for step in again["steps"]] == [
         list(step) for step in msgspec.json.decode(sample)["steps"]
     ]
+
+
+# --- adapters -------------------------------------------------------------------------------------
+
+ADAPTERS_PAGE = (DOCS / "adapters.md").read_text(encoding="utf-8")
+
+
+def test_the_page_of_adapters_names_each() -> None:
+    assert all(f"`{name}" in ADAPTERS_PAGE for name in ADAPTERS if name != "lib")
+    assert "--dut lib:" in ADAPTERS_PAGE
+
+
+def test_the_sample_of_a_library_is_a_device_that_conforms(tmp_path: Path) -> None:
+    block = ADAPTERS_PAGE.partition("A complete device")[2].partition("\n\n")[2]
+    code = "".join(re.findall(r"^(?:    .*|)\n", block.partition("\n- All state")[0], re.MULTILINE))
+    file = library(code, tmp_path / "libdut.so", "-pedantic")
+    result = run_device("standard", f"lib:{file}", depth="quick")
+    assert not result.findings()
+    assert sum(verdict.outcome is Outcome.PASS for verdict in result.verdicts) > 100
+
+
+def test_the_sample_in_javascript_is_a_device_that_conforms() -> None:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node")
+    program = DOCS.parent / "examples" / "exec_slave" / "slave.mjs"
+    command = shlex.join([node, str(program)])
+    result = run_device("standard", f"exec:{command}", depth="quick")
+    assert not result.findings()
+    complaints = check_adapter(
+        lambda: open_adapter(f"exec:{command}", "standard"),
+        spans=[(0x0120, 32), (0x1000, 256)],
+        write=(0x1000, b"\x01"),
+    )
+    assert complaints == []

@@ -52,6 +52,7 @@ bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/run.py
 	$(BIN)/python bench/complete.py
 	$(BIN)/python bench/diff.py
+	$(BIN)/python bench/adapters.py
 
 clean:  ## remove everything made here
 	rm -rf $(VENV) build dist ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Protocol, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
 LIMITS: Final[Mapping[str, int]] = MappingProxyType({"initiate_data": 0, "segment_data": 1})
 """What a description may limit on the way to a device, and the fewest bytes that get through."""
@@ -69,6 +69,8 @@ class Description:
     """Features that the way to the device cannot carry: cases of them are skipped."""
     locals: frozenset[str] = frozenset()
     """Local events, `machine.input` as in the texts, that `local` can make befall the device."""
+    batch: bool = False
+    """True: the adapter answers `read_all` quicker than single reads."""
 
     def to_json(self) -> dict[str, object]:
         """Return the description as data for JSON, in a fixed order."""
@@ -81,6 +83,7 @@ class Description:
             "limits": dict(self.limits),
             "without": list(self.without),
             "locals": sorted(self.locals),
+            "batch": self.batch,
         }
 
     @classmethod
@@ -103,6 +106,7 @@ class Description:
             limits=_numbers(data, "limits"),
             without=_texts(data, "without"),
             locals=frozenset(_texts(data, "locals")),
+            batch=_truth({"batch": False, **data}, "batch"),
         )
 
 
@@ -140,6 +144,13 @@ def raise_local(adapter: Adapter, event: str) -> None:
         message = f"the adapter cannot raise {event!r}; describe it in `locals` and offer local()"
         raise AdapterError(message)
     local(event)
+
+
+def read_all(adapter: Adapter, spans: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
+    """Read one span after the other; at once, where the adapter has the method `reads(spans)`."""
+    reads: Callable[[Sequence[tuple[int, int]]], list[tuple[int, bytes]]] | None
+    reads = getattr(adapter, "reads", None)
+    return [adapter.read(*span) for span in spans] if reads is None else reads(spans)
 
 
 def check_span(address: int, length: int) -> None:

@@ -116,7 +116,11 @@ def _perform(adapter: Adapter, request: dict[str, object]) -> str:
         case {"op": "close"}:
             adapter.close()
         case {"op": "describe"}:
-            return json.dumps({"ok": True, "description": adapter.describe().to_json()})
+            described = {**adapter.describe().to_json(), "batch": True}
+            return json.dumps({"ok": True, "description": described})
+        case {"op": "batch", "calls": list(calls)}:
+            results = ",".join(_perform(adapter, call) for call in calls)
+            return f'{{"ok":true,"results":[{results}]}}'
         case _:
             message = f"no such request: {request!r}"
             raise AdapterError(message)

@@ -9,6 +9,10 @@ One request, one reply, one line each:
     {"op":"advance","seconds":0.5}                {"ok":true}
     {"op":"local","event":"ds402.fault"}          {"ok":true}
     {"op":"close"}                                {"ok":true}
+    {"op":"batch","calls":[...]}                  {"ok":true,"results":[...]}
+
+The last is asked only of a device whose description has `batch`: each call is a request, each
+result its reply.
 
 A reply {"ok":false,"error":"text"} says that the call or the set-up was wrong: AdapterError.
 Everything else that is not such a reply is a fault of the device: it ended (DeviceCrash), it
@@ -37,7 +41,7 @@ from ecatspec.conformance.adapter import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 MAXIMUM_LINE: Final = 1 << 20
 CHUNK: Final = 1 << 16
@@ -108,7 +112,22 @@ class LineAdapter:
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Return the working counter and the bytes read."""
         check_span(address, length)
-        reply = self._exchange(f'{{"op":"read","address":{address:d},"length":{length:d}}}\n')
+        return self._read_in(self._exchange(f"{_read_request(address, length)}\n"), length)
+
+    def reads(self, spans: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
+        """Read several spans one after the other, by one line."""
+        for span in spans:
+            check_span(*span)
+        calls = ",".join(_read_request(*span) for span in spans)
+        results = self._exchange(f'{{"op":"batch","calls":[{calls}]}}\n').get("results")
+        if not isinstance(results, list) or len(results) != len(spans):
+            self._rubbish(f"the results of {len(spans)} calls are no list of as many")
+        return [
+            self._read_in(self._accepted(result), length)
+            for result, (_, length) in zip(results, spans, strict=True)
+        ]
+
+    def _read_in(self, reply: dict[str, object], length: int) -> tuple[int, bytes]:
         working_counter = self._working_counter(reply)
         text = reply.get("data")
         if not isinstance(text, str):
@@ -176,14 +195,18 @@ class LineAdapter:
             reply = json.loads(line)
         except (ValueError, RecursionError):
             self._rubbish(f"the answer is not JSON: {line[:60]!r}")
+        return self._accepted(reply)
+
+    def _accepted(self, reply: object) -> dict[str, object]:
+        """Give a reply that says yes."""
         if not isinstance(reply, dict):
-            self._rubbish(f"the answer is not an object: {line[:60]!r}")
+            self._rubbish(f"the answer is not an object: {_shown(reply)}")
         accepted = reply.get("ok")
         if accepted is True:
             return reply
         error_text = reply.get("error")
         if accepted is not False or not isinstance(error_text, str):
-            self._rubbish(f"the answer says neither yes nor why not: {line[:60]!r}")
+            self._rubbish(f"the answer says neither yes nor why not: {_shown(reply)}")
         raise AdapterError(error_text)
 
     def _working_counter(self, reply: dict[str, object]) -> int:
@@ -286,6 +309,14 @@ class Lines:
 
 def _milliseconds(deadline: float) -> int:
     return max(0, int((deadline - time.monotonic()) * 1000) + 1)
+
+
+def _read_request(address: int, length: int) -> str:
+    return f'{{"op":"read","address":{address:d},"length":{length:d}}}'
+
+
+def _shown(reply: object) -> str:
+    return json.dumps(reply)[:60]
 
 
 def _telling(tail: str) -> str:

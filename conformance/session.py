@@ -8,7 +8,7 @@ from time import monotonic
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.conformance.adapter import raise_local
+from ecatspec.conformance.adapter import raise_local, read_all
 from ecatspec.conformance.verdict import TraceLine
 from ecatspec.generators.case import (
     Happen,
@@ -92,6 +92,10 @@ class Session:
     _outputs: dict[str, int] | None = None
     """The words that are written cyclically, None where nothing is."""
     _hurries: bool = False
+    _batches: bool = False
+    """The device can be asked for several reads at once."""
+    _ahead: dict[tuple[int, int], tuple[int, bytes]] = field(default_factory=dict)
+    """What was read at once and not looked at yet."""
     _began: float | None = None
     """When the clock of a device in real time was 0; None: time passes by waiting alone."""
 
@@ -103,7 +107,10 @@ class Session:
         """Power cycle the device."""
         self.adapter.reset()
         self.time = 0
-        self._began = None if self.adapter.describe().virtual_time else monotonic()
+        description = self.adapter.describe()
+        self._batches = description.batch
+        self._ahead = {}
+        self._began = None if description.virtual_time else monotonic()
         self.trace = []
         self.attempt = None
         self._counter = 0
@@ -238,7 +245,7 @@ class Session:
     def _read_inputs(self) -> None:
         area = self.oracle.process_area(DATA_IN)
         if area is not None:
-            counter, data = self.adapter.read(*area)
+            counter, data = self._read(*area)
             self._show_inputs(data if counter else b"")
             self._observe(self._exchange(area[0], data, counter))
 
@@ -307,6 +314,12 @@ class Session:
             wait *= _SLOWER[self._virtual]
 
     def _look(self, *, unread: bool = False) -> None:
+        if self._batches:
+            self._read_ahead()
+        self._look_at_all(unread=unread)
+        self._ahead = {}
+
+    def _look_at_all(self, *, unread: bool) -> None:
         # the code is judged only once the state is known, so the state comes first
         self._read_registers(*AL)
         self._read_inputs()
@@ -325,6 +338,23 @@ class Session:
             if not counter:
                 return
 
+    def _read_ahead(self) -> None:
+        """Read by one exchange with the adapter what a look begins with."""
+        inputs = self.oracle.process_area(DATA_IN)
+        spans = (self._span(*_AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
+        self._tick()
+        self._ahead = dict(zip(spans, read_all(self.adapter, spans), strict=True))
+
+    def _read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read, if it was not read ahead."""
+        found = self._ahead.pop((address, length), None)
+        return self.adapter.read(address, length) if found is None else found
+
+    def _span(self, *names: str) -> tuple[int, int]:
+        """Give where registers lie, the lowest first: address and length."""
+        first, last = (self.model.protocol.registers[name] for name in (names[0], names[-1]))
+        return first.address, last.address + last.size - first.address
+
     def _full(self) -> bool:
         status = self._read_registers(*_MAIL)[0]
         return bool(field_of(self.model.protocol, _MAIL[0], "full", status))
@@ -332,9 +362,10 @@ class Session:
     def _read_registers(self, *names: str, demanded: bool = False) -> list[int]:
         """Read registers by one exchange, the lowest first; give what they hold."""
         registers = [self.model.protocol.registers[name] for name in names]
-        start = registers[0].address
-        self._tick()
-        counter, data = self.adapter.read(start, registers[-1].address + registers[-1].size - start)
+        start, length = self._span(*names)
+        if (start, length) not in self._ahead:
+            self._tick()
+        counter, data = self._read(start, length)
         found = []
         for register in registers:
             offset = register.address - start

@@ -132,6 +132,15 @@ def test_the_host_keeps_the_protocol_apart_from_prints(tmp_path: Path) -> None:
         assert adapter.describe().name == "d"
 
 
+def test_the_host_answers_a_batch(tmp_path: Path) -> None:
+    with hosted(tmp_path, "good") as adapter:
+        assert adapter.describe().batch
+        assert adapter.reads([(5, 1), (6, 2)]) == [(1, b"\0"), (1, b"\0\0")]
+        with pytest.raises(AdapterError, match="not there"):
+            adapter.reads([(5, 1), (3, 1)])
+        assert adapter.read(5, 1) == (1, b"\0")
+
+
 def test_an_exception_of_a_hosted_device_is_a_crash(tmp_path: Path) -> None:
     with hosted(tmp_path, "good") as adapter:
         with pytest.raises(
@@ -157,6 +166,7 @@ def test_a_description_survives_json_and_wrong_ones_are_refused() -> None:
         ("protocols", "al"),
         ("notes", [1]),
         ("virtual_time", 1),
+        ("batch", 1),
         ("extra", 1),
     ):
         with pytest.raises(ValueError, match=field):

@@ -19,6 +19,7 @@ from ecatspec.conformance.adapter import (
     DeviceFault,
     DeviceHang,
     DeviceRubbish,
+    read_all,
 )
 from ecatspec.conformance.kit import check_adapter
 from ecatspec.conformance.lines import MAXIMUM_LINE
@@ -48,7 +49,10 @@ def serve(request):
             reply()
         case {"op": "describe"}:
             reply(description={"name": "echo", "protocols": ["al"], "virtual_time": True,
-                               "closed_dictionary": False, "notes": []})
+                               "closed_dictionary": False, "notes": [], "batch": True})
+        case {"op": "batch", "calls": calls}:
+            reply(results=[{"ok": True, "wkc": 1, "data": memory[c["address"]:][:c["length"]].hex()}
+                           for c in calls])
         case _:
             reply()
 """
@@ -199,6 +203,34 @@ def test_an_answer_out_of_the_contract_is_rubbish(device: Make, answer: str, rea
 
 def test_no_bytes_with_working_counter_zero_is_fine(device: Make) -> None:
     assert device(on_read("reply(wkc=0, data='')")).read(0, 2) == (0, b"")
+
+
+def test_a_batch_is_one_line(device: Make) -> None:
+    counted = HEAD + "count = 0\nfor line in sys.stdin:\n"
+    counted += "    count += 1\n    memory[0] = count\n    serve(json.loads(line))\n"
+    adapter = device(counted)
+    adapter.write(2, b"two")
+    assert read_all(adapter, [(0, 1), (2, 3), (0, 1)]) == [(1, b"\2"), (1, b"two"), (1, b"\2")]
+    with pytest.raises(AdapterError, match="outside the address space"):
+        adapter.reads([(0, 1), (1 << 16, 1)])
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ('{"ok":true}', "the results of 2 calls are no list of as many"),
+        ('{"ok":true,"results":{}}', "the results of 2 calls are no list of as many"),
+        ('{"ok":true,"results":[{"ok":true,"wkc":1,"data":"00"}]}', "no list of as many"),
+        ('{"ok":true,"results":[1,2]}', "the answer is not an object: 1"),
+        ('{"ok":true,"results":[{},{}]}', "neither yes nor why not: {}"),
+        ('{"ok":true,"results":[{"ok":true,"wkc":1,"data":""},0]}', "0 bytes came for a read of 1"),
+    ],
+)
+def test_results_out_of_the_contract_are_rubbish(device: Make, answer: str, reason: str) -> None:
+    body = f"sys.stdout.write('{answer}' + chr(10)); sys.stdout.flush()"
+    adapter = device(on_read(body).replace('!= "read"', '!= "batch"'))
+    with pytest.raises(DeviceRubbish, match=reason):
+        adapter.reads([(0, 1), (1, 1)])
 
 
 def test_a_refusal_is_the_callers_fault(device: Make) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import pytest
 from c_device import TEXT, WHERE, build
@@ -21,13 +22,32 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from ecatspec.conformance.adapter import Adapter, Description
     from ecatspec.conformance.verdict import Verdict
     from ecatspec.generators.case import Case
 
 WAYS = ("lib", "tcp", "unix")
-"""Each beside a program on stdin and stdout."""
+"""Each beside a program on stdin and stdout; of these `lib` is asked for several reads at once."""
 PREFIXES = ("al/set_up/", "mailbox/", "sdo/transfer/", "process_data/", "ds402/up_again/")
 FAULTS = ("AL_CODE_FORGOTTEN", "SEGMENT_TOGGLE_UNCHECKED", "WATCHDOG_IGNORED", "RESET_BY_LEVEL")
+
+
+class Listening:
+    """An adapter that remembers what it was asked."""
+
+    def __init__(self, adapter: Adapter, *, batch: bool) -> None:
+        self._adapter, self._batch = adapter, batch
+        self.asked: list[str] = []
+
+    def describe(self) -> Description:
+        return replace(self._adapter.describe(), batch=self._batch)
+
+    def __getattr__(self, name: str) -> object:
+        self.asked.append(name)
+        return getattr(self._adapter, name)
+
+    def close(self) -> None:
+        self._adapter.close()
 
 
 @cache
@@ -88,6 +108,20 @@ def test_every_way_finds_the_same_in_a_device_with_a_fault(fault: str, tmp_path:
     for way in WAYS:
         for dut in reached(way, folder):
             assert verdicts(dut, prefixes) == found, way
+
+
+def test_a_look_is_one_exchange_where_the_device_takes_several_reads(folder: Path) -> None:
+    asked: dict[bool, list[str]] = {}
+    for batch in (True, False):
+        adapter = Listening(open_adapter(f"lib:{folder}/libslave.so", TEXT), batch=batch)
+        runner = Runner(model(), cast("Adapter", adapter), adapter.describe())
+        for case in cases()[:40]:
+            assert runner.judge(case).outcome not in BLAMING
+        adapter.close()
+        asked[batch] = adapter.asked
+    assert "reads" not in asked[False]
+    assert asked[True].count("reads") * 2 <= asked[False].count("read")
+    assert len(asked[True]) < 0.7 * len(asked[False])
 
 
 def outcomes(found: list[Verdict]) -> list[tuple[str, Outcome]]:

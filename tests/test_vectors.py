@@ -242,7 +242,8 @@ def build(folder: Path, fault: str, *more: str) -> subprocess.CompletedProcess[s
         place = f'-DVECTORS="{folder / "vectors.h"}"'
         compile_only = [str(COMPILER), *strict, *more, place, "-c", str(SOURCES / "replay.c")]
         subprocess.run([*compile_only, "-o", str(runner)], check=True)
-    sources = [str(p) for p in SOURCES.glob("*.c") if p.name not in {"main.c", "replay.c"}]
+    others = {"main.c", "replay.c", "library.c", "stack.c"}
+    sources = [str(p) for p in SOURCES.glob("*.c") if p.name not in others]
     program = str(folder / fault)
     built = [str(COMPILER), *strict, *more, f"-DFAULT=FAULT_{fault}", *sources, str(runner)]
     subprocess.run([*built, "-o", program], check=True)

@@ -30,7 +30,7 @@ const writable = (at) => at >= REGISTERS_END || (at >= AL_CONTROL && at < AL_CON
 
 const operations = {
   describe: () => ({ description: {
-    name: "slave.mjs", protocols: ["al"], virtual_time: true, closed_dictionary: false,
+    name: "slave.mjs", protocols: ["al"], virtual_time: true, closed_dictionary: false, batch: true,
   } }),
   reset: () => {
     memory = Buffer.alloc(0x10000);
@@ -48,14 +48,18 @@ const operations = {
   },
   advance: () => ({}),
   close: () => ({}),
+  batch: ({ calls }) => ({ results: calls.map(perform) }),
 };
+
+function perform(call) {
+  const operation = operations[call.op];
+  return operation ? { ok: true, ...operation(call) } : { ok: false, error: `unknown op ${call.op}` };
+}
 
 operations.reset();
 const lines = createInterface({ input: process.stdin });
 lines.on("line", (line) => {
   const call = JSON.parse(line);
-  const operation = operations[call.op];
-  const reply = operation ? { ok: true, ...operation(call) } : { ok: false, error: `unknown op ${call.op}` };
-  process.stdout.write(`${JSON.stringify(reply)}\n`);
+  process.stdout.write(`${JSON.stringify(perform(call))}\n`);
   if (call.op === "close") lines.close();
 });

@@ -11,8 +11,11 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import sys
+import threading
+import time
 import traceback
 from typing import TYPE_CHECKING, Final
 
@@ -27,6 +30,8 @@ if TYPE_CHECKING:
 CRASHED: Final = 70
 USAGE: Final = 2
 _CHUNK: Final = 1 << 16
+_GRACE: Final = 1.0
+"""Seconds after the last request that a device may take to end."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
             return USAGE
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, replies = _private_descriptors()
+    threading.Thread(target=_end_with_the_run, args=(requests,), daemon=True).start()
     try:
         serve = _server(name, text)
     except AdapterError as error:
@@ -66,6 +72,15 @@ def _private_descriptors() -> tuple[int, int]:
     os.close(empty)
     os.dup2(2, 1)
     return requests, replies
+
+
+def _end_with_the_run(requests: int) -> None:
+    """End a device that does not come back from a call, once nobody is there to wait for it."""
+    gone = select.poll()
+    gone.register(requests, 0)
+    gone.poll()
+    time.sleep(_GRACE)
+    os._exit(CRASHED)
 
 
 def _server(name: str, text: str) -> Callable[[dict[str, object]], str]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -20,6 +23,7 @@ from ecatspec.conformance.adapter import (
 )
 from ecatspec.conformance.adapters import lib, open_adapter
 from ecatspec.conformance.devices import load
+from ecatspec.conformance.host import CRASHED
 from ecatspec.conformance.kit import check_adapter
 from ecatspec.conformance.libraries import HEADERS, environment
 from ecatspec.conformance.process import ProcessAdapter
@@ -450,6 +454,25 @@ def test_sixty_crashes_leave_nothing_behind(hostile: Path, monkeypatch: pytest.M
     assert descriptors() == held
     assert memory() < used + (1 << 20)
     adapter.close()
+
+
+def test_a_device_that_loops_ends_with_a_run_that_was_killed(hostile: Path) -> None:
+    asked = json.dumps({"device": "standard", "options": {"path": str(hostile)}})
+    host = subprocess.Popen(
+        [sys.executable, "-P", "-m", "ecatspec.conformance.host", "lib", asked],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "HOSTILE": "infinite loop"},
+    )
+    assert host.stdin is not None
+    assert host.stdout is not None
+    with host.stdin, host.stdout:
+        host.stdin.write(b'{"op":"read","address":4095,"length":1}\n')
+        host.stdin.flush()
+        assert host.stdout.readline() == b'{"ok":true,"wkc":1,"data":"00"}\n'
+        host.stdin.write(b'{"op":"read","address":0,"length":1}\n')
+        host.stdin.flush()
+    assert host.wait(10) == CRASHED
 
 
 # --- sanitizers -----------------------------------------------------------------------------------

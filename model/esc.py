@@ -258,7 +258,7 @@ class Esc:
     def _read_memory(self, address: int, length: int) -> tuple[int, bytes]:
         for channel in self._channels.values():
             if channel.overlaps(address, length):
-                if channel.main_writes or not channel.full or channel.off:
+                if channel.main_writes or not channel.full:
                     return 0, bytes(length)
                 data = bytes(self._memory[address : address + length])
                 if channel.reaches_end(address, length):
@@ -434,7 +434,8 @@ class Esc:
                 self._device_write(owner, low, piece)
         self._fmmus = None
         for channel in self._channels.values():
-            if not channel.main_writes and channel.reaches_end(address, len(data)):
+            takes = not (channel.main_writes or channel.off)
+            if takes and channel.reaches_end(address, len(data)):
                 self._set_full(channel, full=True)
                 self._events &= ~self._event_of(channel.name)
         if address < self._registers_end and any(

@@ -121,6 +121,8 @@ def test_the_stack_takes_a_message_back_by_switching_off_and_on(bare: BareSubDev
     bare.esc.pdi_write(AT_MANAGERS + 15, b"\x01")
     assert bare.read(0x1080, 128) == (0, bytes(128))
     assert bare.read(AT_MANAGERS + 13, 1) == (1, b"\0")
+    bare.esc.pdi_write(0x1080, b"lost".ljust(128, b"\0"))
+    assert bare.read(0x1080, 128) == (0, bytes(128))
     bare.esc.pdi_write(AT_MANAGERS + 15, b"\0")
     assert bare.read(0x1080, 128) == (0, bytes(128))
     bare.esc.pdi_write(0x1080, b"new".ljust(128, b"\0"))

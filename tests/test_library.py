@@ -472,7 +472,11 @@ def test_a_device_that_loops_ends_with_a_run_that_was_killed(hostile: Path) -> N
         assert host.stdout.readline() == b'{"ok":true,"wkc":1,"data":"00"}\n'
         host.stdin.write(b'{"op":"read","address":0,"length":1}\n')
         host.stdin.flush()
-    assert host.wait(10) == CRASHED
+    try:
+        assert host.wait(10) == CRASHED
+    finally:
+        host.kill()
+        host.wait()
 
 
 # --- sanitizers -----------------------------------------------------------------------------------

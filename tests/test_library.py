@@ -352,7 +352,7 @@ def test_a_file_that_is_no_library_is_one_line(tmp_path: Path, hostile: Path, st
         ("a byte too many", DeviceCrash, "a read of 2 bytes at 0x0130 wrote more than that"),
         ("wrong counter", DeviceRubbish, "the working counter is not a count: -7"),
         ("closes descriptors", DeviceCrash, "Bad file descriptor"),
-        ("writes everywhere", DeviceRubbish, "the answer is not JSON: b'rubbish'"),
+        ("writes everywhere", DeviceRubbish, "not JSON: b'rubbish'|more than one line"),
     ],
 )
 def test_what_a_library_does_wrong_is_a_fault_of_the_device(

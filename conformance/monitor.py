@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.capture.frames import Bits, WireFormat
 from ecatspec.conformance.capture.transactions import Capture
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
+from ecatspec.conformance.verdict import REASON, Outcome, Result, TraceLine, Verdict
 from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
@@ -114,7 +114,7 @@ class Follower:
         for reason in reasons:
             if reason not in told:
                 self.reasons.append(f"{reason} ({exchange.reference})")
-                self.recent.append(TraceLine(exchange.time, "reason", reason))
+                self.recent.append(TraceLine(exchange.time, REASON, reason))
         if mismatch is not None:
             self.verdicts.append(self._verdict(mismatch))
             self.oracle.unknown(keep=True)

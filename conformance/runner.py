@@ -16,7 +16,7 @@ from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.shrink import shortest
-from ecatspec.conformance.verdict import BLAMING, Outcome, Result, TraceLine, Verdict
+from ecatspec.conformance.verdict import BLAMING, REASON, Outcome, Result, TraceLine, Verdict
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
     Case,
@@ -191,7 +191,7 @@ class Runner:
         return None
 
     def _judge(self, case: Case) -> Verdict:
-        self.session.trace = []
+        self.session.forget_trace()
         try:
             self.session.begin(self.choices | self.believed, self.configuration())
             for position, stimulus in enumerate(case.stimuli):
@@ -215,9 +215,8 @@ class Runner:
         oracle = self.session.oracle
         self.rules |= self._certain_rules()
         if not self.believed:
-            for line in self.session.trace:
-                if line.who == "reason":
-                    self.refusals.setdefault(line.what, case.name)
+            for reason in self.session.refusals:
+                self.refusals.setdefault(reason, case.name)
             self.choices |= oracle.choices()
             self.untold |= oracle.untold()
         if surprises := oracle.surprises():
@@ -251,7 +250,7 @@ class Runner:
                     for key, value in self.session.oracle.example().objects
                     if self.model.sets_up(key[0])
                 }
-            self.session.trace = []
+            self.session.forget_trace()
         return self.configured
 
     def _configures(self, stimulus: Stimulus) -> bool:
@@ -335,7 +334,7 @@ class Runner:
             tuple(dict.fromkeys(claim for clause in cited for claim in clause.claims)),
             (
                 *self.session.trace,
-                *(TraceLine(self.session.time, "reason", text) for text in mismatch.reasons),
+                *(TraceLine(self.session.time, REASON, text) for text in mismatch.reasons),
             ),
             f"{self.session.time / 1000:.1f} ms",
             mismatch.signature,

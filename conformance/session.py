@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from time import monotonic
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.conformance.adapter import raise_local, read_all
-from ecatspec.conformance.verdict import TraceLine
+from ecatspec.conformance.verdict import REASON, TraceLine
 from ecatspec.generators.case import (
     Happen,
     Hurry,
@@ -39,12 +40,13 @@ from ecatspec.model.values import bits_of
 from ecatspec.model.words import message_words, register_words
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from ecatspec.conformance.adapter import Adapter
+    from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
     from ecatspec.model.oracle import Oracle
-    from ecatspec.model.values import ObjectKey
+    from ecatspec.model.values import ObjectKey, Value
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
@@ -83,9 +85,10 @@ class Session:
     model: Model
     oracle: Oracle
     time: int = 0
-    trace: list[TraceLine] = field(default_factory=list)
     exchanges: int = 0
     attempt: Exchange | None = None
+    _told: list[tuple[int, str, str | Callable[[], str]]] = field(default_factory=list)
+    """When, by whom, and what was done or shown: in words only once somebody asks."""
     _counter: int = 0
     _shown: dict[str, int] = field(default_factory=dict)
     _shown_words: dict[str, str] = field(default_factory=dict)
@@ -103,6 +106,23 @@ class Session:
     def _virtual(self) -> bool:
         return self._began is None
 
+    @property
+    def trace(self) -> list[TraceLine]:
+        """What was done and shown, in words."""
+        return [
+            TraceLine(time, who, what if isinstance(what, str) else what())
+            for time, who, what in self._told
+        ]
+
+    @property
+    def refusals(self) -> list[str]:
+        """Why the device refused what it was asked."""
+        return [what for _, who, what in self._told if who == REASON and isinstance(what, str)]
+
+    def forget_trace(self) -> None:
+        """Begin with an empty trace."""
+        self._told = []
+
     def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
         """Power cycle the device."""
         self.adapter.reset()
@@ -111,7 +131,7 @@ class Session:
         self._batches = description.batch
         self._ahead = {}
         self._began = None if description.virtual_time else monotonic()
-        self.trace = []
+        self.forget_trace()
         self.attempt = None
         self._counter = 0
         self._shown = {}
@@ -126,16 +146,11 @@ class Session:
         match stimulus:
             case WriteRegister():
                 address, data = register_bytes(self.model, stimulus)
-                words = register_words(self.model, stimulus.register, stimulus.fields)
-                self._say("MainDevice", f"writes {words}")
+                self._say("MainDevice", partial(_writes, self.model, stimulus))
                 self._write(address, data)
             case WriteRegisters():
                 address, data = registers_bytes(self.model, stimulus)
-                words = "; ".join(
-                    register_words(self.model, write.register, write.fields)
-                    for write in stimulus.writes
-                )
-                self._say("MainDevice", f"writes {words}")
+                self._say("MainDevice", partial(_writes, self.model, *stimulus.writes))
                 self._write(address, data)
             case ReadRegister(register=name):
                 self._say("MainDevice", f"reads {name.replace('_', ' ')}")
@@ -160,7 +175,7 @@ class Session:
                     self.apply(writes)
             case WriteOutputs():
                 self._outputs = {**(self._outputs or {}), **stimulus.words}
-                self._say_outputs(stimulus.words)
+                self._say("MainDevice", partial(_outputs_words, self.model, stimulus.words))
                 self._write_outputs()
             case StopOutputs():
                 self._outputs = None
@@ -212,20 +227,6 @@ class Session:
             self._send(upload(index, subindex))
             self._settle()
 
-    def _say_outputs(self, words: Mapping[str, int]) -> None:
-        told = [
-            register_words(
-                self.model,
-                name,
-                {
-                    bits.name: bits_of(raw, bits.low, bits.high)
-                    for bits in self.model.protocol.words[name].fields
-                },
-            )
-            for name, raw in words.items()
-        ]
-        self._say("MainDevice", f"writes process data {'; '.join(told)}".strip())
-
     def _write_outputs(self) -> None:
         if self._outputs is not None and self.oracle.al_states() & {"SAFEOP", "OP"}:
             data = image(self.model, self.oracle.example(), self._outputs)
@@ -263,7 +264,7 @@ class Session:
         data = frame_bytes(self.model, stimulus, self._counter)
         message = self.model.decode(data)
         if message is not None:
-            self._say("MainDevice", f"sends {message_words(self.model, message)}")
+            self._say("MainDevice", partial(_message, self.model, "sends", message))
         start, length = self._area(MAIN_OUT)
         # refused for longer than the request time, the oracle calls it a deviation
         limit = self.time + self.model.parameter("request_timeout")
@@ -332,8 +333,7 @@ class Session:
             start, length = self._area(MAIN_IN)
             counter, data = self.adapter.read(start, length)
             message = self.model.decode(data) if counter else None
-            words = "no message" if message is None else message_words(self.model, message)
-            self._say("SubDevice", f"answers {words}")
+            self._say("SubDevice", partial(_message, self.model, "answers", message))
             self._observe(self._exchange(start, data, counter))
             if not counter:
                 return
@@ -341,7 +341,7 @@ class Session:
     def _read_ahead(self) -> None:
         """Read by one exchange with the adapter what a look begins with."""
         inputs = self.oracle.process_area(DATA_IN)
-        spans = (self._span(*_AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
+        spans = (self._span(*AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
         self._tick()
         self._ahead = dict(zip(spans, read_all(self.adapter, spans), strict=True))
 
@@ -381,7 +381,7 @@ class Session:
         if names == AL:
             for reason in self.oracle.reasons():
                 if reason not in told:
-                    self._say("reason", reason)
+                    self._say(REASON, reason)
         return found if counter else [0] * len(found)
 
     def _show_register(self, name: str, raw: int) -> None:
@@ -394,7 +394,7 @@ class Session:
                 view.name: field_of(self.model.protocol, name, view.name, raw)
                 for view in self.model.views[name]
             }
-            self._say("SubDevice", f"shows {register_words(self.model, name, shown)}")
+            self._say("SubDevice", partial(_shows, self.model, name, shown))
 
     def _write(self, address: int, data: bytes) -> int:
         self.attempt = self._exchange(address, data, 1, write=True)
@@ -429,5 +429,32 @@ class Session:
             self.time += part
             self._write_outputs()
 
-    def _say(self, who: str, what: str) -> None:
-        self.trace.append(TraceLine(self.time, who, what))
+    def _say(self, who: str, what: str | Callable[[], str]) -> None:
+        self._told.append((self.time, who, what))
+
+
+def _writes(model: Model, *writes: WriteRegister) -> str:
+    return f"writes {'; '.join(register_words(model, w.register, w.fields) for w in writes)}"
+
+
+def _shows(model: Model, name: str, fields: Mapping[str, Value]) -> str:
+    return f"shows {register_words(model, name, fields)}"
+
+
+def _message(model: Model, verb: str, message: Message | None) -> str:
+    return f"{verb} {'no message' if message is None else message_words(model, message)}"
+
+
+def _outputs_words(model: Model, words: Mapping[str, int]) -> str:
+    told = [
+        register_words(
+            model,
+            name,
+            {
+                bits.name: bits_of(raw, bits.low, bits.high)
+                for bits in model.protocol.words[name].fields
+            },
+        )
+        for name, raw in words.items()
+    ]
+    return f"writes process data {'; '.join(told)}".strip()

@@ -19,6 +19,8 @@ class Outcome(StrEnum):
 
 
 BLAMING = frozenset({Outcome.FAIL, Outcome.CRASH})
+REASON = "reason"
+"""Who speaks in a trace where it says why the device refused."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,7 +85,7 @@ class Recorder(Session):
         self._since: tuple[Oracle, int] | None = None
         """Before and when it was begun to wait in this step; None: it is told how long to wait."""
         self._full_before: Oracle | None = None
-        self._told = 0
+        self._rules_told = 0
         self._states: dict[str, str] = {}
         self._kept: dict[object, _Made] = {}
         self._besides: Explanations = {}
@@ -99,7 +99,7 @@ class Recorder(Session):
         """Power cycle the device, and forget the steps before."""
         self.steps = []
         self._draft = _Draft()
-        self._told = 0
+        self._rules_told = 0
         self._states = {}
         super().begin(choices, objects)
         self._close()
@@ -170,9 +170,7 @@ class Recorder(Session):
         time = self.time
         if self.oracle.open_until(time) > time or self.oracle.busy_until(time) == time:
             return
-        registers = [self.model.protocol.registers[name] for name in AL]
-        start = registers[0].address
-        spans = [(start, registers[-1].address + registers[-1].size - start)]
+        spans = [self._span(*AL)]
         if (area := self.oracle.process_area(DATA_IN)) is not None:
             spans.append(area)
         self._peeks = True
@@ -249,8 +247,8 @@ class Recorder(Session):
 
     def _recent_rules(self) -> list[str]:
         histories = list(self.oracle.candidates.values())
-        recent = [set(history[self._told :]) for history in histories]
-        self._told = min(map(len, histories), default=0)
+        recent = [set(history[self._rules_told :]) for history in histories]
+        self._rules_told = min(map(len, histories), default=0)
         return sorted(map(str, set.intersection(*recent))) if recent else []
 
     # --- what may be seen -------------------------------------------------------------------------

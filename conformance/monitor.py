@@ -7,16 +7,15 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.capture.frames import Bits, WireFormat
 from ecatspec.conformance.capture.transactions import Capture
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.verdict import REASON, Outcome, Result, TraceLine, Verdict
 from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
-from ecatspec.model.fmmu import fmmu_registers
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.oracle import Oracle
+from ecatspec.model.wire import wire_format
 from ecatspec.model.words import message_words, register_words
 from ecatspec.spec.language.ir import Level
 
@@ -29,44 +28,6 @@ if TYPE_CHECKING:
 
 _MICROSECONDS = 1_000_000
 _REMEMBERED = 12
-_ETHERNET_ADDRESS = 6
-_VLAN_TAG = 4
-
-
-def wire_format(model: Model) -> WireFormat:
-    """Give the layout of frames on the wire as the texts say it."""
-    codec = model.codec
-
-    def bits(frame: str, name: str) -> Bits:
-        return Bits(*codec.place(frame, name))
-
-    register = model.protocol.registers["station_address"]
-    return WireFormat(
-        fmmus=fmmu_registers(model.protocol),
-        ethertype=model.parameter("ether_type"),
-        vlan_ethertype=model.parameter("vlan_type"),
-        vlan_tag_size=_VLAN_TAG,
-        source_mac_offset=_ETHERNET_ADDRESS,
-        source_mac_size=_ETHERNET_ADDRESS,
-        source_mac_returned_bit=model.parameter("returned_source_bit"),
-        ethercat_header_size=codec.size("ethercat_header"),
-        ethercat_length=bits("ethercat_header", "frame_length"),
-        ethercat_type=bits("ethercat_header", "frame_type"),
-        ethercat_type_datagrams=model.parameter("datagram_frame_type"),
-        datagram_header_size=codec.size("datagram_header"),
-        command=bits("datagram_header", "command"),
-        index=bits("datagram_header", "number"),
-        adp=bits("datagram_header", "position"),
-        ado=bits("datagram_header", "offset"),
-        length=bits("datagram_header", "size"),
-        more=bits("datagram_header", "more"),
-        working_counter_size=codec.size("datagram_trailer"),
-        working_counter_read=model.parameter("counter_of_a_read"),
-        working_counter_write=model.parameter("counter_of_a_write"),
-        commands={row.name: row.value for row in model.protocol.tables["datagram_command"].rows},
-        station_address_register=register.address,
-        station_address_size=register.size,
-    )
 
 
 @dataclass(slots=True)

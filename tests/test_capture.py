@@ -12,7 +12,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ecatspec.conformance.capture.frames import Bits, WireFormat
 from ecatspec.conformance.capture.transactions import (
     LOST_AFTER,
     Capture,
@@ -20,6 +19,7 @@ from ecatspec.conformance.capture.transactions import (
     Statistics,
 )
 from ecatspec.model.fmmu import fmmu_registers
+from ecatspec.model.wire import Bits, WireFormat
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ WIRE: Final = WireFormat(
     ado=Bits(32, 16),
     length=Bits(48, 11),
     more=Bits(63, 1),
+    interrupt=Bits(64, 16),
     working_counter_size=2,
     working_counter_read=1,
     working_counter_write=2,

@@ -17,8 +17,6 @@ import msgspec
 import pytest
 
 from ecatspec.conformance.capture.files import packets
-from ecatspec.conformance.capture.frames import Datagram, Decoder
-from ecatspec.conformance.monitor import wire_format
 from ecatspec.conformance.vectors.export import Wanted, export
 from ecatspec.generators.formats import FORMATS
 from ecatspec.generators.formats.pcapng_format import STATION_ADDRESS
@@ -47,6 +45,7 @@ from ecatspec.generators.vectors import (
 from ecatspec.generators.vectors import Test as OneTest
 from ecatspec.generators.words_of import words_of
 from ecatspec.model.compiled import Model
+from ecatspec.model.wire import Datagram, Wire, wire_format
 from ecatspec.spec.language.ir import Level
 from ecatspec.spec.language.load import load_device
 
@@ -401,7 +400,7 @@ def test_a_whole_export_has_all_its_tests() -> None:
 
 def decoded(data: bytes) -> list[tuple[int, bool, Datagram]]:
     """Microseconds, whether it came back, and the datagram of each packet."""
-    decoder = Decoder(wire_format(Model(load_device("reference"))))
+    decoder = Wire(wire_format(Model(load_device("reference"))))
     found = []
     for packet in packets(io.BytesIO(data)):
         payload = decoder.payload(packet.data)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from ecatspec.model.fmmu import Fmmu
 
 if TYPE_CHECKING:
-    from ecatspec.conformance.capture.frames import WireFormat
     from ecatspec.model.fmmu import Share
+    from ecatspec.model.wire import WireFormat
     from ecatspec.spec.language.ir import Register
 
 
@@ -61,7 +61,7 @@ class Segment:
 
     def __init__(self, wire: WireFormat) -> None:
         self._wire = wire
-        self._modulus = 1 << wire.adp.width
+        self._modulus = wire.positions
         self._by_station: dict[int, int] = {}
         self._station: dict[int, int] = {}
         self._merged: dict[int, int] = {}

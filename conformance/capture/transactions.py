@@ -14,24 +14,17 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from ecatspec.conformance.capture.files import NANOSECONDS, BrokenError, NoCaptureError, packets
-from ecatspec.conformance.capture.frames import (
-    Addressing,
-    Command,
-    Datagram,
-    Decoder,
-    Frame,
-    Pending,
-    come_in_pairs,
-)
+from ecatspec.conformance.capture.frames import Frame, Pending, come_in_pairs
 from ecatspec.conformance.capture.segment import Mappings, Segment, Transaction
+from ecatspec.model.wire import Addressing, Command, Datagram, Wire
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from ecatspec.conformance.capture.files import Packet
-    from ecatspec.conformance.capture.frames import WireFormat
     from ecatspec.model.fmmu import Share
+    from ecatspec.model.wire import WireFormat
 
 LOST_AFTER: Final = 1000
 """A request is given up when it is this many frames old."""
@@ -84,7 +77,7 @@ class Capture:
         """
         self._path = path
         self._wire = wire
-        self._decoder = Decoder(wire)
+        self._decoder = Wire(wire)
         self._reset()
 
     def _reset(self) -> None:
@@ -206,7 +199,7 @@ class Capture:
         if request is not None:
             size = frame.passed(request)
             if size is not None:
-                self.segment.size = size % (1 << self._wire.adp.width)
+                self.segment.size = size % self._wire.positions
         elif self.segment.size is None:
             for datagram in frame.datagrams:
                 if datagram.command.addressing is Addressing.ALL:
@@ -330,7 +323,7 @@ class Capture:
     def _device(self, command: Command, adp: int) -> int | None:
         match command.addressing:
             case Addressing.POSITION:
-                return -adp % (1 << self._wire.adp.width)
+                return -adp % self._wire.positions
             case Addressing.STATION:
                 return self.segment.at_station(adp)
             case _:

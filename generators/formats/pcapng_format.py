@@ -13,6 +13,7 @@ import dpkt.pcapng
 
 from ecatspec.generators.vectors import Full, Local, Mail, Read, Send, Write
 from ecatspec.generators.words_of import words_of
+from ecatspec.model.wire import COMMANDS, Datagram, Wire, wire_format
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,13 +21,11 @@ if TYPE_CHECKING:
 
     from ecatspec.generators.vectors import Allowed, Effect, Expected, Head, Input, Step, Test
     from ecatspec.generators.words_of import Words
-    from ecatspec.model.values import Value
 
 STATION_ADDRESS: Final = 0x1001
 """Of the SubDevice: any would do."""
-_EVERYBODY: Final = bytes([0xFF] * 6)
 _MAIN_DEVICE: Final = bytes([0x00, 0x01, 0x01, 0x01, 0x01, 0x01])
-"""Ethernet addresses. Of that of the MainDevice a SubDevice sets a bit."""
+"""The Ethernet address of the MainDevice, of which a SubDevice sets a bit."""
 _READS: Final = "FPRD"
 _WRITES: Final = "FPWR"
 _READS_ALL: Final = "BRD"
@@ -78,25 +77,18 @@ class _Tape:
     _number: int = 0
     _comments: list[str] = field(default_factory=list)
     """What the next packet is to say besides."""
-    _commands: dict[str, int] = field(init=False)
+    _wire: Wire = field(init=False)
     _largest: int = field(init=False)
     """So many bytes fit into a datagram."""
     _outer: frozenset[str | None] = field(init=False)
     """Layouts with others inside."""
-    _type: bytes = field(init=False)
-    _returned: bytes = field(init=False)
-    """The Ethernet address of the MainDevice in frames that come back."""
 
     def __post_init__(self) -> None:
         """Ask the texts for the numbers of the wire."""
         model = self.words.model
-        table = model.protocol.tables["datagram_command"]
-        self._commands = {row.name: row.value for row in table.rows}
+        self._wire = Wire(wire_format(model))
         self._outer = frozenset(frame.parent for frame in model.protocol.frames.values())
         self._largest = model.parameter("maximal_mailbox")
-        self._type = model.parameter("ether_type").to_bytes(2, "big")
-        marked = _MAIN_DEVICE[0] | model.parameter("returned_source_bit")
-        self._returned = bytes([marked]) + _MAIN_DEVICE[1:]
 
     def begin(self) -> None:
         """Write what stands before the packets."""
@@ -224,32 +216,17 @@ class _Tape:
             said = became if writes else whole.said
             self._packet(f"{place}: {said}", returned, returned=True)
 
-    def _datagram(self, command: str, content: _Answer, position: int) -> bytes:
-        codec = self.words.model.codec
-        header: dict[str, Value] = {
-            "command": self._commands[command],
-            "number": self._number,
-            "position": position,
-            "offset": content.address,
-            "size": len(content.data),
-        }
-        trailer: dict[str, Value] = {"working_counter": content.counter}
-        inside = (
-            codec.encode("datagram_header", header)
-            + content.data
-            + codec.encode("datagram_trailer", trailer)
-        )
-        kind = self.words.model.parameter("datagram_frame_type")
-        outer: dict[str, Value] = {"frame_length": len(inside), "frame_type": kind}
-        return codec.encode("ethercat_header", outer) + inside
+    def _datagram(self, command: str, content: _Answer, position: int) -> Datagram:
+        kind, data = COMMANDS[command], content.data
+        return Datagram(kind, self._number, position, content.address, data, content.counter)
 
-    def _packet(self, said: str, content: bytes, *, returned: bool = False) -> None:
-        source = self._returned if returned else _MAIN_DEVICE
+    def _packet(self, said: str, content: Datagram, *, returned: bool = False) -> None:
+        source = self._wire.marked(_MAIN_DEVICE) if returned else _MAIN_DEVICE
         comments, self._comments = [said, *self._comments], []
         packet = dpkt.pcapng.EnhancedPacketBlockLE(
             ts_high=self._time >> _HALF,
             ts_low=self._time & (1 << _HALF) - 1,
-            pkt_data=_EVERYBODY + source + self._type + content,
+            pkt_data=self._wire.frame(source, (content,)),
             opts=_options(comments),
         )
         self.out.write(bytes(packet))

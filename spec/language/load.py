@@ -72,6 +72,12 @@ def load_file(path: str | Path) -> Protocol:
 
 
 @cache
+def load_link() -> Protocol:
+    """What a SubDevice has for the way to it, which no suite judges: data link, EEPROM."""
+    return _together([_shipped("link", file.name) for file in _files("link")], STANDARD)
+
+
+@cache
 def load_faults() -> dict[str, Fault]:
     """All planted faults that are shipped, by name, in the order of their texts."""
     texts = [_shipped("faults", file.name) for file in _files("faults")]

@@ -56,6 +56,7 @@ EXAMPLES: Final = {
     "replay": "ecatspec replay vectors.json --dut canopen",
     "adapters": "ecatspec adapters --include",
     "vectors": "ecatspec vectors lint vectors.json",
+    "simulate": "ecatspec simulate kollmorgen-akd --iface veth1",
 }
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
@@ -631,6 +632,50 @@ def schema() -> int:
     from ecatspec.generators.vectors import json_schema
 
     _print(json.dumps(json_schema(), indent=2, sort_keys=True) + "\n")
+    return CONFORMS
+
+
+@cli.command(epilog=_example("simulate"))
+@click.argument("device")
+@click.option("--iface", required=True, metavar="NAME", help="The network interface to answer on.")
+@click.option("--fault", metavar="NAME", help="Plant this fault: ecatspec show DEVICE faults.")
+@click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
+@click.option(
+    "--count",
+    type=click.IntRange(1, 64),
+    default=1,
+    show_default=True,
+    help="So many SubDevices one behind the other.",
+)
+@click.option(
+    "--virtual-time",
+    is_flag=True,
+    help="Time stands still until it is commanded: for --dut eth:IFACE,time=virtual.",
+)
+def simulate(
+    *,
+    device: str,
+    iface: str,
+    fault: str | None,
+    mailbox: str,
+    count: int,
+    virtual_time: bool,
+) -> int:
+    """Answer a MainDevice as the virtual SubDevice of DEVICE, on a network interface (Linux).
+
+    It needs the right CAP_NET_RAW. SIGHUP is a power cycle; Ctrl-C ends it, with exit status 0.
+    """
+    from ecatspec.conformance.simulate import Segment
+
+    with (
+        _set_up("simulate"),
+        Segment(
+            device, iface, fault=fault, mailbox=mailbox, count=count, virtual_time=virtual_time
+        ) as segment,
+    ):
+        _warn(f"ecatspec: {segment.name} answers on {iface}; Ctrl-C ends it")
+        with _progress() as progress:
+            segment.serve(progress)
     return CONFORMS
 
 

@@ -24,17 +24,20 @@ if TYPE_CHECKING:
 def make(device: str, options: Mapping[str, str]) -> VirtualAdapter:
     """Return the virtual SubDevice of the text `device`, with a planted fault if one is named."""
     refuse_options("model", options, known=("mailbox", "fault"))
-    protocol = load(device, options.get("mailbox", ""))
-    quirks: frozenset[Quirk] = frozenset()
-    name = options.get("fault")
-    if name is not None:
-        faults = load_faults()
-        if name not in faults:
-            raise AdapterError(str(nearest("fault", name, tuple(faults))))
-        fault = faults[name]
-        protocol = plant(protocol, fault)
-        quirks = frozenset({Quirk(fault.quirk)} if fault.quirk else ())
+    loaded = load(device, options.get("mailbox", ""))
+    protocol, quirks = planted(loaded, options.get("fault"))
     return VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), described(protocol))
+
+
+def planted(protocol: Protocol, name: str | None) -> tuple[Protocol, frozenset[Quirk]]:
+    """Give what a device with the fault `name` goes by; None is a device without one."""
+    if name is None:
+        return protocol, frozenset()
+    faults = load_faults()
+    if name not in faults:
+        raise AdapterError(str(nearest("fault", name, tuple(faults))))
+    fault = faults[name]
+    return plant(protocol, fault), frozenset({Quirk(fault.quirk)} if fault.quirk else ())
 
 
 def described(protocol: Protocol) -> Description:

@@ -1,0 +1,130 @@
+"""The only place for virtual SubDevices on a network interface, where real MainDevices find them.
+
+Their time is that of the clock. They act when a frame comes: what happened meanwhile by itself is
+done before it is answered, so nobody can tell the difference.
+"""
+
+from __future__ import annotations
+
+import gc
+import signal
+import time
+from typing import TYPE_CHECKING, Final, Self
+
+from ecatspec.conformance.adapters.model import planted
+from ecatspec.conformance.devices import load
+from ecatspec.conformance.interface import LARGEST_FRAME, failed, open_interface
+from ecatspec.generators.bringup import way_to
+from ecatspec.generators.mailbox_cover import probe_entry
+from ecatspec.generators.play import play
+from ecatspec.generators.stimulus import frame_bytes
+from ecatspec.generators.transfers import download, upload
+from ecatspec.model.esc import AREAS, SYNC_MANAGERS
+from ecatspec.model.link import LinkedSubDevice, linked
+from ecatspec.model.wire import Wire, wire_format
+from ecatspec.spec.language.load import load_link
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    Progress = Callable[[int, int, str], None]
+
+_MICROSECOND: Final = 1000
+"""Nanoseconds of one."""
+_SHOWN: Final = 200_000
+"""Microseconds between two lines of progress."""
+
+
+def _rehearse(segment_device: LinkedSubDevice) -> None:
+    """Let a device do once what it will do often: no first answer may take longer than others.
+
+    A MainDevice gives up after milliseconds, and rules are compiled when they are needed.
+    """
+    device = segment_device.device
+    model = device.model
+    for machine in model.protocol.machines.values():
+        for source in machine.inputs:
+            model.rules(machine.name, source.name)
+    way = way_to(model, "PREOP")
+    play(model, device, way)
+    areas = [AREAS[name] for name in SYNC_MANAGERS]
+    out, back = ([model.parameter(area, part) for part in ("start", "length")] for area in areas)
+    if entry := probe_entry(model):
+        key = entry.index, entry.subindex
+        for counter, request in enumerate((upload(*key), download(*key, b"\0")), 1):
+            message = frame_bytes(model, request, counter)
+            device.write(out[0], message.ljust(out[1], b"\0"))
+            device.read(*back)
+    play(model, device, way_to(model, "OP")[len(way) :])
+    segment_device.reset()
+
+
+class Segment:
+    """Virtual SubDevices one behind the other, on an open interface."""
+
+    def __init__(
+        self,
+        device: str,
+        interface: str,
+        *,
+        fault: str | None = None,
+        mailbox: str = "",
+        count: int = 1,
+        virtual_time: bool = False,
+    ) -> None:
+        """Make them and open the interface; AdapterError or UserError where that cannot be."""
+        own, quirks = planted(load(device, mailbox), fault)
+        protocol = linked(own, load_link())
+        self.name = protocol.name if count == 1 else f"{protocol.name}, {count} times,"
+        self._devices = [
+            LinkedSubDevice(protocol, quirks, follower=number < count, commanded=virtual_time)
+            for number in range(1, count + 1)
+        ]
+        for each in self._devices:
+            _rehearse(each)
+        self._wire = Wire(wire_format(self._devices[0].device.model))
+        self._interface, self._virtual_time = interface, virtual_time
+        self._socket = open_interface(interface, self._wire.format.ethertype)
+        self._began = time.monotonic_ns()
+        gc.freeze()  # what is here stays: to look through it again takes longer than an answer may
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def serve(self, progress: Progress | None) -> None:
+        """Answer until Ctrl-C; SIGHUP switches all SubDevices off and on again."""
+        before = signal.signal(signal.SIGHUP, lambda *_: self._power_cycle())
+        try:
+            self._serve(progress)
+        except KeyboardInterrupt:
+            return
+        except OSError as error:
+            failed(self._interface, error)
+        finally:
+            signal.signal(signal.SIGHUP, before)
+
+    def _power_cycle(self) -> None:
+        for device in self._devices:
+            device.reset()
+
+    def _serve(self, progress: Progress | None) -> None:
+        buffer, frames, shown = bytearray(LARGEST_FRAME), 0, 0
+        take, send, answered = self._socket.recv_into, self._socket.send, self._wire.pass_on
+        visits = [device.visit for device in self._devices]
+        while True:
+            length = take(buffer)
+            now = (time.monotonic_ns() - self._began) // _MICROSECOND
+            if not self._virtual_time:
+                for device in self._devices:
+                    device.advance(now)
+            frame = buffer[:length]
+            if answered(frame, visits):
+                send(frame)
+                frames += 1
+            if progress is not None and now > shown + _SHOWN:
+                shown = now
+                states = {device.al_state for device in self._devices}
+                progress(frames, 0, f"frames, {' and '.join(sorted(states))}")

@@ -27,6 +27,10 @@ class AdapterError(Exception):
         super().__init__(" ".join(message.split()))
 
 
+class Unheard(AdapterError):  # noqa: N818  nobody is wrong
+    """An exchange got lost on the way: whether the device took part in it nobody knows."""
+
+
 class DeviceFault(Exception):  # noqa: N818  a fault of the device is an observation
     """What the device did instead of answering; catch this to catch all three kinds."""
 

@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
-from ecatspec.conformance.adapter import AdapterError, DeviceCrash, DeviceHang, DeviceRubbish
+from ecatspec.conformance.adapter import (
+    AdapterError,
+    DeviceCrash,
+    DeviceHang,
+    DeviceRubbish,
+    Unheard,
+)
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
 from ecatspec.conformance.session import Deviation, Session
@@ -207,6 +213,8 @@ class Runner:
             return self._failure(case, deviation.mismatch)
         except (DeviceCrash, DeviceHang, DeviceRubbish) as death:
             return self._death(case, death)
+        except Unheard as loss:
+            return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, str(loss))
         except AdapterError as trouble:
             return Verdict(case.name, Outcome.ERROR, case.title, str(trouble))
         finally:

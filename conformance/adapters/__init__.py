@@ -6,6 +6,7 @@
     exec:COMMAND ARGUMENTS   any program that speaks the line protocol of `lines`
     tcp:HOST:PORT            the same lines over a socket
     unix:PATH                the same lines over a Unix socket
+    eth:IFACE                a SubDevice on a network interface
 
 A Python adapter is a file here with `make(device, options) -> Adapter`, a row in FACTORIES and
 a row in ADAPTERS; it runs in a process of its own, but for `model`, which is ours and cannot harm
@@ -141,13 +142,16 @@ def _open_socket(
 
 
 def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
+    return Guarded(_open_here("model", device, parse_options(rest)))
+
+
+def _open_here(name: str, device: str, options: Mapping[str, str]) -> Adapter:
     from ecatspec.conformance.devices import UserError
 
-    options = parse_options(rest)
     try:
-        return Guarded(_make("model", device, options))
+        return _make(name, device, options)
     except UserError as error:
-        raise AdapterError(f"cannot set up 'model': {error}") from None
+        raise AdapterError(f"cannot set up {name!r}: {error}") from None
 
 
 def _open_command(rest: str, _device: str, hang_timeout: float) -> Adapter:
@@ -157,6 +161,11 @@ def _open_command(rest: str, _device: str, hang_timeout: float) -> Adapter:
         message = f"cannot read the command {rest!r}: {error}"
         raise AdapterError(message) from None
     return ProcessAdapter(command, hang_timeout=hang_timeout)
+
+
+def _open_wire(rest: str, device: str, _hang_timeout: float) -> Adapter:
+    interface, _, options = rest.partition(",")
+    return _open_here("eth", device, {"interface": interface, **parse_options(options)})
 
 
 FACTORIES: Final[Mapping[str, Factory]] = MappingProxyType(
@@ -196,6 +205,11 @@ ADAPTERS: Final[Mapping[str, Entry]] = MappingProxyType(
             summary="a program that speaks the line protocol at a Unix socket",
             example="unix:/tmp/slave.sock",
             open=partial(_open_socket, at_path),
+        ),
+        "eth": Entry(
+            summary="a SubDevice on a network interface",
+            example="eth:eth1,position=0",
+            open=_open_wire,
         ),
     }
 )

@@ -53,6 +53,7 @@ bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/complete.py
 	$(BIN)/python bench/diff.py
 	$(BIN)/python bench/adapters.py
+	$(BIN)/python bench/wire.py
 
 clean:  ## remove everything made here
 	rm -rf $(VENV) build dist ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

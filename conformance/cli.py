@@ -663,7 +663,8 @@ def simulate(
 ) -> int:
     """Answer a MainDevice as the virtual SubDevice of DEVICE, on a network interface (Linux).
 
-    It needs the right CAP_NET_RAW. SIGHUP is a power cycle; Ctrl-C ends it, with exit status 0.
+    It needs the right CAP_NET_RAW. SIGHUP is a power cycle; Ctrl-C or SIGTERM ends it, with exit
+    status 0.
     """
     from ecatspec.conformance.simulate import Segment
 

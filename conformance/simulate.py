@@ -95,8 +95,11 @@ class Segment:
         self._socket.close()
 
     def serve(self, progress: Progress | None) -> None:
-        """Answer until Ctrl-C; SIGHUP switches all SubDevices off and on again."""
-        before = signal.signal(signal.SIGHUP, lambda *_: self._power_cycle())
+        """Answer until Ctrl-C or SIGTERM; SIGHUP switches all SubDevices off and on again."""
+        before = {
+            signal.SIGHUP: signal.signal(signal.SIGHUP, lambda *_: self._power_cycle()),
+            signal.SIGTERM: signal.signal(signal.SIGTERM, signal.default_int_handler),
+        }
         try:
             self._serve(progress)
         except KeyboardInterrupt:
@@ -104,7 +107,8 @@ class Segment:
         except OSError as error:
             failed(self._interface, error)
         finally:
-            signal.signal(signal.SIGHUP, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _power_cycle(self) -> None:
         for device in self._devices:

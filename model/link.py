@@ -82,6 +82,9 @@ class LinkedSubDevice:
         self._eeprom = bytearray(sii_image(model))
         self._counters = [r for name, r in self._registers.items() if _CLEARED in name]
         self._eeprom_span = self._span(_EEPROM)
+        raised = ("al_status", *_MANAGERS)
+        self._raised = sum(self._mask("main_event_request", name) for name in raised)
+        """The events that can be."""
         self._hooks: tuple[tuple[range, Callable[[], None]], ...] = (
             (self._of("main_event_request"), self._show_events),
             (self._eeprom_span, self._show_eeprom),
@@ -205,7 +208,7 @@ class LinkedSubDevice:
     # --- events of the MainDevice -----------------------------------------------------------------
 
     def _interrupt(self) -> int:
-        mask = self._content("main_event_mask")
+        mask = self._content("main_event_mask") & self._raised
         return mask & self._events() if mask else 0
 
     def _events(self) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import sys
 from pathlib import Path
@@ -76,6 +77,11 @@ def test_a_main_device_brings_it_to_op_and_reads_and_writes_objects(
 def test_the_name_is_that_of_the_object(wire: Cable) -> None:
     with wire.simulated("beckhoff-el6720"):
         assert soem(wire)["name"] == "EL6720"
+
+
+def test_ctrl_c_ends_it(wire: Cable) -> None:
+    with wire.simulated("reference", ended_by=signal.SIGINT):
+        pass
 
 
 def test_several_stand_one_behind_the_other(wire: Cable) -> None:

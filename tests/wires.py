@@ -47,8 +47,10 @@ class Cable:
         )
 
     @contextmanager
-    def simulated(self, device: str, *options: str) -> Iterator[subprocess.Popen[str]]:
-        """Have a virtual SubDevice at the far end; Ctrl-C ends it with status 0."""
+    def simulated(
+        self, device: str, *options: str, ended_by: signal.Signals = signal.SIGTERM
+    ) -> Iterator[subprocess.Popen[str]]:
+        """Have a virtual SubDevice at the far end, which ends with status 0."""
         command = [*COMMAND, "simulate", device, "--iface", FAR, *options]
         with subprocess.Popen(self.within(command), stderr=subprocess.PIPE, text=True) as running:
             assert running.stderr is not None
@@ -56,7 +58,7 @@ class Cable:
                 first = running.stderr.readline()
                 assert "answers on" in first, first + running.stderr.read()
                 yield running
-                running.send_signal(signal.SIGINT)
+                running.send_signal(ended_by)
                 said = running.stderr.read()
                 assert (running.wait(20), said) == (0, "")
             finally:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.evaluate import Environment
 from ecatspec.model.sii import WORD, checksum, sii_image
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.wire import Addressing, WireFormat, wire_format
@@ -25,6 +26,11 @@ if TYPE_CHECKING:
 _MICROSECONDS: Final = 1_000_000
 _CLEARED: Final = "_counter"
 """In the name of a register that any write clears."""
+_EXPIRED: Final = "watchdog_process_data_counter"
+_WATCHDOG: Final = ("process_data", "expired")
+"""The machine and its input that is the end of the watchdog's time."""
+_WATCHDOG_SETTINGS: Final = (PROCESS_DATA[0], "watchdog_process_data")
+_BYTE_MASK: Final = 0xFF
 _EEPROM: Final = "eeprom_"
 _LINK_PORTS: Final = 2
 _MANAGERS: Final = (*SYNC_MANAGERS, *PROCESS_DATA)
@@ -88,6 +94,7 @@ class LinkedSubDevice:
         self._hooks: tuple[tuple[range, Callable[[], None]], ...] = (
             (self._of("main_event_request"), self._show_events),
             (self._eeprom_span, self._show_eeprom),
+            (self._of("watchdog_status"), self._show_watchdog),
         )
         self.now = 0
         """Microseconds that have passed."""
@@ -173,8 +180,12 @@ class LinkedSubDevice:
     def advance(self, microseconds: int) -> None:
         """Let the time of the device come to so many microseconds; it never goes back."""
         if microseconds > self.now:
+            before = self.device.awaits(*_WATCHDOG)
             self.device.advance((microseconds - self.now) / _MICROSECONDS)
             self.now = microseconds
+            if before and not self.device.awaits(*_WATCHDOG) and self._watchdog_on():
+                counter = self._content(_EXPIRED)
+                self._put(_EXPIRED, min(counter + 1, _BYTE_MASK))
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""
@@ -223,6 +234,19 @@ class LinkedSubDevice:
 
     def _show_events(self) -> None:
         self._put("main_event_request", self._events())
+
+    # --- watchdog ---------------------------------------------------------------------------------
+
+    def _watchdog_on(self) -> bool:
+        state = self.device.state
+        for name in _WATCHDOG_SETTINGS:  # the device may not have looked at them yet
+            state = state.having(self._model.slots[f"register {name}"], self._content(name))
+        environment = Environment(state.slots, {}, {})
+        return self._model.definition("watchdog_on")(environment) is True
+
+    def _show_watchdog(self) -> None:
+        running = not self._watchdog_on() or self.device.awaits(*_WATCHDOG)
+        self._put("watchdog_status", running * self._mask("watchdog_status", "running"))
 
     # --- EEPROM -----------------------------------------------------------------------------------
 

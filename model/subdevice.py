@@ -123,6 +123,10 @@ class VirtualSubDevice:
         self.poll()
         return result
 
+    def awaits(self, machine: str, event: str) -> bool:
+        """Tell whether something will happen by itself, after some time."""
+        return (machine, event) in self._alarms
+
     def happen(self, machine: str, event: str, parameters: Mapping[str, Value]) -> None:
         """Let something happen inside the device that a machine has as local input."""
         self._run(Event(machine, event, parameters))

@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ecatspec.generators.bringup import way_to
+from ecatspec.generators.play import play
 from ecatspec.model.compiled import Model
 from ecatspec.model.fmmu import fmmu_registers
 from ecatspec.model.link import LinkedSubDevice, linked
@@ -35,6 +37,7 @@ STATION, ALIAS, DL_CONTROL, DL_STATUS, AL_CONTROL, AL_STATUS = (
 )
 MASK, REQUEST, RX_ERRORS, FREE, MAIL_OUT, MAIL_IN = 0x200, 0x210, 0x300, 0x2000, 0x1000, 0x1080
 EEPROM, CONTROL, PLACE, DATA = 0x500, 0x502, 0x504, 0x508
+WATCHDOG_TIME, WATCHDOG = 0x420, 0x440
 READ, WRITE, RELOAD, ENABLE = 0x0100, 0x0200, 0x0400, 0x0001
 BUSY, WRITE_ERROR, COMMAND_ERROR, CHECKSUM_ERROR = 0x8000, 0x4000, 0x2000, 0x0800
 MODEL = Model(linked(load_device("reference-drive"), load_link()))
@@ -214,6 +217,24 @@ def test_events_come_back_in_each_datagram(alone: LinkedSubDevice) -> None:
     assert alone.visit(read, 0, STATION, b"\0")[3] == 0
     assert alone.write(MAIL_OUT, question(1)) == 1
     assert alone.visit(read, 0, STATION, b"\0")[3] == 1 << 5
+
+
+def test_the_watchdog_shows_and_is_counted(alone: LinkedSubDevice) -> None:
+    play(alone.device.model, alone.device, way_to(alone.device.model, "SAFEOP"))
+    assert alone.write(WATCHDOG_TIME, b"\x64\x00") == 1  # 10 ms
+    assert alone.read(WATCHDOG, 2) == (1, b"\0\0")
+    outputs = alone.device.model.parameter("process_data_out", "start")
+    for expired in range(1, 3):
+        assert alone.write(outputs, bytes(6)) == 1
+        assert alone.read(WATCHDOG, 2) == (1, b"\1\0")
+        alone.advance(alone.now + 9_000)
+        assert alone.read(WATCHDOG, 2) == (1, b"\1\0")
+        alone.advance(alone.now + 2_000)
+        assert alone.read(WATCHDOG, 4) == (1, bytes([0, 0, expired, 0]))
+    assert alone.write(WATCHDOG + 2, b"\0") == 1
+    assert alone.read(WATCHDOG + 2, 1) == (1, b"\0")
+    assert alone.write(WATCHDOG_TIME, b"\0\0") == 1
+    assert alone.read(WATCHDOG, 2) == (1, b"\1\0")
 
 
 def test_time_passes_as_commanded_only_where_that_is_wanted() -> None:

@@ -25,7 +25,7 @@ from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
 from ecatspec.model.link import LinkedSubDevice, linked
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.wire import Wire, wire_format
+from ecatspec.model.wire import COMMANDS, Datagram, Wire, wire_format
 from ecatspec.spec.language.load import load_link
 
 if TYPE_CHECKING:
@@ -216,8 +216,8 @@ def test_what_cannot_be_sent_again_is_not(
 
 def test_an_answer_to_an_earlier_frame_is_left_out(loop: Loop) -> None:
     adapter = opened()
-    stale = loop.wire.frame(bytes(6), ())
-    loop.returns.extend([b"", stale])
+    late = Datagram(COMMANDS["APWR"], 200, 3, STATION, b"\1\0", 1)
+    loop.returns.extend([b"", loop.wire.frame(bytes(6), (late,))])
     loop.lost.append("after")
     with pytest.raises(Unheard):
         adapter.write(STATION, b"\1\0")

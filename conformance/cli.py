@@ -674,9 +674,9 @@ def simulate(
             device, iface, fault=fault, mailbox=mailbox, count=count, virtual_time=virtual_time
         ) as segment,
     ):
-        _warn(f"ecatspec: {segment.name} answers on {iface}; Ctrl-C ends it")
+        said = f"ecatspec: {segment.name} answers on {iface}; Ctrl-C ends it"
         with _progress() as progress:
-            segment.serve(progress)
+            segment.serve(progress, lambda: _warn(said))
     return CONFORMS
 
 

@@ -86,6 +86,7 @@ class Segment:
         self._interface, self._virtual_time = interface, virtual_time
         self._socket = open_interface(interface, self._wire.format.ethertype)
         self._began = time.monotonic_ns()
+        self._switched = False
         gc.freeze()  # what is here stays: to look through it again takes longer than an answer may
 
     def __enter__(self) -> Self:
@@ -94,13 +95,17 @@ class Segment:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def serve(self, progress: Progress | None) -> None:
-        """Answer until Ctrl-C or SIGTERM; SIGHUP switches all SubDevices off and on again."""
+    def serve(self, progress: Progress | None, ready: Callable[[], None]) -> None:
+        """Answer until Ctrl-C or SIGTERM; SIGHUP switches all SubDevices off and on again.
+
+        `ready` is called once all three have this meaning.
+        """
         before = {
-            signal.SIGHUP: signal.signal(signal.SIGHUP, lambda *_: self._power_cycle()),
+            signal.SIGHUP: signal.signal(signal.SIGHUP, self._switch),
             signal.SIGTERM: signal.signal(signal.SIGTERM, signal.default_int_handler),
         }
         try:
+            ready()
             self._serve(progress)
         except KeyboardInterrupt:
             return
@@ -110,9 +115,9 @@ class Segment:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
-    def _power_cycle(self) -> None:
-        for device in self._devices:
-            device.reset()
+    def _switch(self, *_: object) -> None:
+        """Remember that the power goes off and on; it may be in the middle of a frame."""
+        self._switched = True
 
     def _serve(self, progress: Progress | None) -> None:
         buffer, frames, shown = bytearray(LARGEST_FRAME), 0, 0
@@ -120,6 +125,10 @@ class Segment:
         visits = [device.visit for device in self._devices]
         while True:
             length = take(buffer)
+            if self._switched:
+                self._switched = False
+                for device in self._devices:
+                    device.reset()
             now = (time.monotonic_ns() - self._began) // _MICROSECOND
             if not self._virtual_time:
                 for device in self._devices:

@@ -76,10 +76,10 @@ def blamed(found: Verdicts) -> Verdicts:
 
 
 def test_verdicts_are_those_of_the_process(wire: Cable) -> None:
-    names = sample(12)
+    names = sample(20)
     found = through(wire, names, "--virtual-time", dut=",time=virtual")
     assert blamed(found) == blamed(in_process(names, None))
-    assert len(found) == len(names) > 200
+    assert len(found) == len(names) > 150
     assert {row[0] for row in found.values()} == {"pass", "skipped"}
 
 
@@ -90,7 +90,7 @@ def test_verdicts_are_those_of_the_process(wire: Cable) -> None:
 def test_planted_faults_are_found_as_in_the_process(
     wire: Cable, fault: str, words: tuple[str, ...]
 ) -> None:
-    names = sample(1, *words)
+    names = sample(3, *words)
     options = ("--virtual-time", "--fault", fault)
     found = through(wire, names, *options, dut=",time=virtual")
     assert blamed(found) == blamed(in_process(names, fault))

@@ -90,7 +90,7 @@ def test_every_factory_has_its_file() -> None:
 
 
 def test_an_unknown_adapter_is_told_the_nearest() -> None:
-    with pytest.raises(AdapterError, match="mean .canopen.*canopen, eth, exec, lib, model"):
+    with pytest.raises(AdapterError, match=r"mean .canopen.*canopen, eth, exec, lib, model"):
         open_adapter("canopne", "akd")
 
 

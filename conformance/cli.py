@@ -566,6 +566,8 @@ def export(
         if made.restless:
             cases = f"{len(made.restless)} cases ({', '.join(made.restless)})"
             said += f"; the virtual SubDevice does not come to rest in {cases}, which have no test"
+        if made.cut:
+            said += f"; {len(made.cut)} end where more may have happened than can be followed"
         _warn(f"ecatspec: {said}")
     return CONFORMS
 

@@ -85,6 +85,8 @@ class Oracle:
     """When the MainDevice last wrote what the device may still be busy with."""
     raised: frozenset[str] = frozenset()
     """Local events (`machine.input`) that befall the device only when they are raised."""
+    lost: bool = False
+    """Whether there was too much to follow since power-on: next to nothing is known."""
     _outputs: tuple[Event, ...] = ()
     _suspicion: Mismatch | None = None
     """The first observation since a request that only an accident explains."""
@@ -108,6 +110,7 @@ class Oracle:
         for name, alternative in (choices or {}).items():
             state = state.having(self.model.slots[f"choice {name}"], alternative)
         self.candidates = {Candidate(state): ()}
+        self.lost = False
         self._suspicion = None
         self.written = 0
 
@@ -794,9 +797,12 @@ class Oracle:
                 for pending in candidate.inbox
             }
             self.unknown(keep=True)
+            self.lost = True
             self.candidates = {
                 candidate.expecting(tuple(inputs.values())): () for candidate in self.candidates
             }
+            # until something is seen nothing more is known: to serve the inputs would not tell
+            self._grown = Grown(self.candidates, self.candidates, time, float("inf"))
             return self.candidates
         self._grown = found if time >= 0 else None
         return found.found

@@ -14,10 +14,10 @@ from ecatspec.generators.case import (
     WriteRegister,
     WriteRegisters,
 )
-from ecatspec.model.citations import object_name
+from ecatspec.model.citations import Foundations, object_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from ecatspec.generators.case import Case, Stimulus
     from ecatspec.model.compiled import Model
@@ -88,3 +88,20 @@ class Touch:
                 key, _ = self._model.image.target(entry.default)
                 if key is not None:
                     yield key
+
+
+class Exercise:
+    """The clauses that cases exercise, by what they touch and by the rules they went by."""
+
+    def __init__(self, model: Model) -> None:
+        """Look up what rests on which clauses."""
+        self._touch = Touch(model)
+        self._foundations = Foundations(model.protocol)
+
+    def clauses(self, case: Case, rules: Iterable[str]) -> frozenset[str]:
+        """Give the clauses of a case that went by these rules."""
+        return self.of_rules((*self._touch.of(case), *rules))
+
+    def of_rules(self, names: Iterable[str]) -> frozenset[str]:
+        """Give the clauses on which rules rest, or objects and registers by their names."""
+        return frozenset(c for name in names for c in self._foundations.of.get(name, ()))

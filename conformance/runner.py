@@ -7,17 +7,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
-from ecatspec.conformance.adapter import (
-    AdapterError,
-    DeviceCrash,
-    DeviceHang,
-    DeviceRubbish,
-    Unheard,
-)
+from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
 from ecatspec.conformance.session import Deviation, Session
@@ -209,14 +203,8 @@ class Runner:
                 if broken := self.session.oracle.broken():
                     reason = f"the texts break their own property {', '.join(broken)}"
                     return Verdict(case.name, Outcome.ERROR, case.title, reason)
-        except Deviation as deviation:
-            return self._failure(case, deviation.mismatch)
-        except (DeviceCrash, DeviceHang, DeviceRubbish) as death:
-            return self._death(case, death)
-        except Unheard as loss:
-            return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, str(loss))
-        except AdapterError as trouble:
-            return Verdict(case.name, Outcome.ERROR, case.title, str(trouble))
+        except (Deviation, DeviceFault, Unheard, AdapterError) as error:
+            return self.explained(case, error)
         finally:
             if any(self._configures(stimulus) for stimulus in case.stimuli):
                 self.configured = None
@@ -326,6 +314,22 @@ class Runner:
         return Verdict(name, Outcome.PASS, "random requests")
 
     # --- verdicts ---------------------------------------------------------------------------------
+
+    def explained(
+        self, case: Case, error: Deviation | DeviceFault | Unheard | AdapterError
+    ) -> Verdict:
+        """Give the verdict of a case that ends here, with what the session came to."""
+        match error:
+            case Deviation():
+                return self._failure(case, error.mismatch)
+            case DeviceFault():
+                return self._death(case, error)
+            case Unheard():
+                return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, str(error))
+            case AdapterError():
+                return Verdict(case.name, Outcome.ERROR, case.title, str(error))
+            case _:
+                assert_never(error)
 
     def _failure(self, case: Case, mismatch: Mismatch) -> Verdict:
         clauses = self.model.protocol.clauses

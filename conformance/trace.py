@@ -10,11 +10,11 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.devices import Sheet
-from ecatspec.conformance.exercise import Touch
+from ecatspec.conformance.exercise import Exercise
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.citations import Foundations, citations
+from ecatspec.model.citations import citations
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
@@ -117,17 +117,14 @@ def trace_device(model: Model, record: Record | None) -> Trace:
     their stimuli (objects, registers) is known without a run.
     """
     protocol = model.protocol
-    foundations = Foundations(protocol)
-    touch = Touch(model)
+    exercise = Exercise(model)
     by_clause: dict[str, dict[str, None]] = {}
     outcomes: dict[str, Outcome] = {}
     for case in all_cases(model, NO_LIMITS):
         seen = None if record is None else record.cases.get(case.name)
-        names = touch.of(case)
         if seen is not None:
             outcomes[case.name] = seen.outcome
-            names |= seen.rules
-        for clause in {c for name in names for c in foundations.of.get(name, ())}:
+        for clause in exercise.clauses(case, () if seen is None else seen.rules):
             by_clause.setdefault(clause, {})[case.name] = None
     cited: dict[str, list[Citation]] = {}
     for citation in citations(protocol):

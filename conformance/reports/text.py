@@ -36,7 +36,7 @@ def _result(result: Result, protocol: Protocol) -> Iterable[str]:
     yield from _summary(result, protocol)
     for number, finding in enumerate(findings, 1):
         yield ""
-        yield from _finding(number, finding, protocol)
+        yield from _finding(f"{number}. ", finding, protocol)
     unjudged = list(_unjudged(result))
     if unjudged:
         yield from ("", "not judged", *unjudged)
@@ -78,9 +78,14 @@ def _choice(name: str, way: str, protocol: Protocol) -> str:
     return f"{name} = {way} ({origin})"
 
 
-def _finding(number: int, finding: Finding, protocol: Protocol) -> Iterable[str]:
+def explained(finding: Finding, protocol: Protocol, command: str) -> str:
+    """Give one finding as text; `command` runs the device, and replays the finding."""
+    return "\n".join(_finding("", finding, protocol, command))
+
+
+def _finding(head: str, finding: Finding, protocol: Protocol, command: str = "") -> Iterable[str]:
     verdict = finding.verdict
-    yield from _wrapped(f"{number}. ", f"{verdict.outcome.value.upper()}: {verdict.title}")
+    yield from _wrapped(head, f"{verdict.outcome.value.upper()}: {verdict.title}")
     for name in verdict.clauses:
         clause = protocol.clauses.get(name)
         words = [name]
@@ -97,7 +102,8 @@ def _finding(number: int, finding: Finding, protocol: Protocol) -> Iterable[str]
     yield from _labelled("case", [verdict.case])
     # a token is copied, so it stays whole
     again = _plain(verdict.replay or verdict.case)
-    yield f"{_INDENT}{'replay':<{_LABEL}}--replay {again}".rstrip()
+    again = f"{command} --replay {again}".strip()
+    yield f"{_INDENT}{'replay':<{_LABEL}}{again}"
     if verdict.trace:
         yield f"{_INDENT}trace"
         yield from _trace(verdict.trace)

@@ -10,6 +10,7 @@ import pytest
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
 from ecatspec.conformance.pytest_plugin import EcatWarning
+from ecatspec.conformance.runner import limits_of
 from ecatspec.conformance.session import Deviation
 from ecatspec.conformance.verdict import Finding, Outcome
 from ecatspec.generators.bringup import way_to
@@ -20,6 +21,7 @@ from ecatspec.generators.transfers import upload
 if TYPE_CHECKING:
     from ecatspec.conformance.pytest_plugin.bench import Bench
     from ecatspec.conformance.verdict import Verdict
+    from ecatspec.generators.case import Limits
     from ecatspec.model.compiled import Model
 
 
@@ -38,6 +40,11 @@ class EcatSession:
     def model(self) -> Model:
         """The compiled text, for those who make stimuli of it."""
         return self._bench.model
+
+    @property
+    def limits(self) -> Limits:
+        """What the way to the device cannot carry, for those who make cases."""
+        return limits_of(self._bench.description)
 
     @property
     def state(self) -> str:

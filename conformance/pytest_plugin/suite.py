@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import pytest
+from _pytest._code.code import ExceptionRepr  # pytest gives it no public name
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.devices import UserError
@@ -19,6 +21,8 @@ from ecatspec.spec.language.diagnostics import SpecError
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping
     from os import PathLike
+
+    from _pytest._code.code import TerminalRepr, TracebackStyle
 
     from ecatspec.conformance.pytest_plugin.bench import Part
     from ecatspec.conformance.verdict import Verdict
@@ -196,7 +200,9 @@ class CaseItem(pytest.Item):
         """Say what the verdicts are."""
         for finding in self.suite.bench.findings(self.verdicts):
             if finding.verdict.outcome is Outcome.WARNING:
-                self.warn(EcatWarning(self.suite.bench.explained(finding)))
+                words = self.suite.bench.explained(finding)
+                place = str(self.reportinfo()[0])
+                warnings.warn_explicit(EcatWarning(words), None, place, 1)
         if not BLAMING.isdisjoint(verdict.outcome for verdict in self.verdicts):
             self._fail(*BLAMING)
 
@@ -204,6 +210,15 @@ class CaseItem(pytest.Item):
         bench = self.suite.bench
         found = [f for f in bench.findings(self.verdicts) if f.verdict.outcome in outcomes]
         pytest.fail("\n\n".join(map(bench.explained, found)), pytrace=False)
+
+    def repr_failure(
+        self, excinfo: pytest.ExceptionInfo[BaseException], style: TracebackStyle | None = None
+    ) -> str | TerminalRepr:
+        """Give the whole report; the summary at the end gets its first line alone."""
+        words = super().repr_failure(excinfo, style)
+        if isinstance(words, ExceptionRepr) and words.reprcrash is not None:
+            words.reprcrash.message = words.reprcrash.message.partition("\n")[0]
+        return words
 
     def reportinfo(self) -> tuple[PathLike[str] | str, int | None, str]:
         """Give the device as the place, and the name of the test."""

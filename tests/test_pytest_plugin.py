@@ -12,7 +12,8 @@ from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 from xml.etree import ElementTree as ET
 
 import pytest
@@ -22,7 +23,7 @@ from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import model
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import going, load
-from ecatspec.conformance.pytest_plugin import EcatWarning, bench
+from ecatspec.conformance.pytest_plugin import bench
 from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS
@@ -41,6 +42,7 @@ pytest_plugins = ["pytester"]
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = "ecatspec"
+WARNING = f"{pytest_plugin.__name__}.{pytest_plugin.EcatWarning.__name__}"
 INSTALLED = bool(entry_points(group="pytest11", name=NAME))
 LOADED = () if INSTALLED else ("-p", pytest_plugin.__name__)
 TEXT = """
@@ -245,8 +247,7 @@ def test_a_should_is_a_warning_that_can_be_made_a_failure(
     found = run(desk, *fault, "-W", "default")
     assert outcomes(found) == {"passed": 1}
     found.stdout.fnmatch_lines(["*EcatWarning: WARNING: *", "*clause    SDO-30 must: *"])
-    category = f"{EcatWarning.__module__}.{EcatWarning.__qualname__}"
-    assert outcomes(run(desk, *fault, "-W", f"error::{category}")) == {"failed": 1}
+    assert outcomes(run(desk, *fault, "-W", f"error::{WARNING}")) == {"failed": 1}
 
 
 # --- selection ------------------------------------------------------------------------------------
@@ -270,15 +271,7 @@ def test_clauses_and_layers_are_markers(
     assert {line for line in again.outlines if line.startswith("tiny::")} == chosen
 
 
-def test_two_workers_have_a_device_each(desk: pytest.Pytester) -> None:
-    found = run(desk, "--ecat-dut", SOUND, "-k", "mailbox/repeat", "-n", "2", "-v")
-    assert outcomes(found) == {"passed": 11}
-    assert {f"[gw{number}]" in words_of(found) for number in (0, 1)} == {True}
-    assert len(devices(desk)) == 3  # one that was asked whether it is there
-    assert end(desk)
-
-
-def test_a_device_ends_with_its_worker(desk: pytest.Pytester) -> None:
+def test_workers_have_a_device_each_that_ends_with_them(desk: pytest.Pytester) -> None:
     desk.makepyfile(
         """
         import os
@@ -286,10 +279,13 @@ def test_a_device_ends_with_its_worker(desk: pytest.Pytester) -> None:
             os._exit(1)
         """
     )
-    options = ("-n", "1", "--max-worker-restart=0", "-k", "kills_its_worker")
-    found = run(desk, "--ecat-dut", SOUND, *options)
+    few = "mailbox/repeat or kills_its_worker"
+    found = run(desk, "--ecat-dut", SOUND, "-k", few, "-n", "2", "-v")
+    assert outcomes(found) == {"passed": 11, "failed": 1}
     assert "crashed while running" in words_of(found)
-    assert len(devices(desk)) == 2
+    assert all(f"[gw{number}]" in words_of(found) for number in (0, 1))
+    # one that was asked whether it is there, one for each worker, and for the one that follows
+    assert len(devices(desk)) == 4
     assert end(desk)
 
 
@@ -365,6 +361,7 @@ def test_the_plugin_is_light_and_declared() -> None:
     assert own.split() == [
         "ecatspec.conformance",
         "ecatspec.conformance.pytest_plugin",
+        "ecatspec.conformance.pytest_plugin.warned",
         "ecatspec.generators",
         "ecatspec.generators.case",
     ]
@@ -417,16 +414,17 @@ def test_users_have_a_device_and_a_judged_session(desk: pytest.Pytester) -> None
 
 def test_the_page_has_the_options_and_outcomes() -> None:
     page = (ROOT / "docs" / "pytest.md").read_text(encoding="utf-8")
-    parser = pytest.Parser(_ispytest=True)
-    pytest_plugin.pytest_addoption(parser)
-    (group,) = (g for g in parser._groups if g.name == "ecatspec")
-    options = [name for option in group.options for name in option.names()]
+    options: list[str] = []
+    group = SimpleNamespace(addoption=lambda name, **_: options.append(name))
+    pytest_plugin.pytest_addoption(
+        cast("pytest.Parser", SimpleNamespace(getgroup=lambda *_: group))
+    )
     assert re.findall(r"^\| `(--[\w-]+)` \|", page, re.MULTILINE) == options
     shown = set(re.findall(r"--ecat-[\w-]+", page))
     assert shown == set(options)
     for outcome in Outcome:
         assert re.search(rf"^\| .*\b{outcome}\b", page, re.MULTILINE), outcome
-    assert f"{EcatWarning.__module__}.{EcatWarning.__qualname__}" in page
+    assert f"-W error::{WARNING}`" in page
 
 
 # --- the order of tests ---------------------------------------------------------------------------
@@ -439,10 +437,10 @@ def test_no_order_and_no_choice_of_cases_blames_a_right_device(
     ways = {name: choice.alternatives[way].name for name, choice in tiny.choices.items()}
     device = going(tiny, ways | SHAPE)
     adapter = VirtualAdapter(VirtualSubDevice(device), described(device))
-    sample = random.Random(way).sample(cases(NO_LIMITS), 120)
+    sample = random.Random(way).sample(cases(NO_LIMITS), 60)
     runner = Runner(Model(tiny), adapter, adapter.describe())
     runner.run(sample, None, 0)
-    for case in sample[:40]:
+    for case in sample[:20]:
         alone = Runner(Model(tiny), adapter, adapter.describe())
         alone.run((case,), None, 0)
         runner.verdicts += alone.verdicts

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
+from ecatspec.conformance.pytest_plugin.warned import EcatWarning
 from ecatspec.generators.case import DEPTHS
 
 if TYPE_CHECKING:
@@ -23,13 +24,11 @@ if TYPE_CHECKING:
     from ecatspec.conformance.pytest_plugin.session import EcatSession
     from ecatspec.conformance.pytest_plugin.suite import Suite
 
+__all__ = ["EcatWarning"]
+
 _NAME: Final = "ecatspec_suite"
 """What holds the suite is registered under this name, where a device is named."""
 _NO_DEVICE: Final = "no device under test: give --ecat-device, and --ecat-dut where it is not model"
-
-
-class EcatWarning(pytest.PytestWarning):
-    """The device does not do what its text says it should; a `must` is a failure."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

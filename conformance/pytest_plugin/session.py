@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
-from ecatspec.conformance.pytest_plugin import EcatWarning
+from ecatspec.conformance.pytest_plugin.warned import EcatWarning
 from ecatspec.conformance.runner import limits_of
 from ecatspec.conformance.session import Deviation
 from ecatspec.conformance.verdict import Finding, Outcome

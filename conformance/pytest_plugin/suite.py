@@ -12,8 +12,8 @@ from _pytest._code.code import ExceptionRepr  # pytest gives it no public name
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.pytest_plugin import EcatWarning
 from ecatspec.conformance.pytest_plugin.bench import Bench, Wanted
+from ecatspec.conformance.pytest_plugin.warned import EcatWarning
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.conformance.version import version
 from ecatspec.spec.language.diagnostics import SpecError

@@ -6,6 +6,7 @@ import random
 import re
 import subprocess
 import sys
+import textwrap
 import time
 import tomllib
 from dataclasses import replace
@@ -160,7 +161,10 @@ def test_a_sound_device_passes_in_another_process_and_is_closed(desk: pytest.Pyt
     assert end(desk)
 
 
-def test_a_failure_explains_itself(desk: pytest.Pytester) -> None:
+def test_a_failure_explains_itself_once(
+    desk: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CI", "1")  # there pytest cuts nothing from its summary
     dut = "model:fault=toggle_ignored"
     found = run(desk, "--ecat-dut", dut, "-k", "wrong_second_toggle", "--junitxml=junit.xml")
     assert outcomes(found) == {"failed": 1}
@@ -179,6 +183,7 @@ def test_a_failure_explains_itself(desk: pytest.Pytester) -> None:
             "FAILED tiny::sdo::sdo/transfer/wrong_second_toggle - Failed: FAIL:*",
         ]
     )
+    assert words_of(found).count(" --replay ") == 1
     case = ET.parse(desk.path / "junit.xml").getroot().find("testsuite/testcase")
     assert case is not None
     assert (case.get("classname"), case.get("name")) == (
@@ -248,6 +253,20 @@ def test_a_should_is_a_warning_that_can_be_made_a_failure(
     assert outcomes(found) == {"passed": 1}
     found.stdout.fnmatch_lines(["*EcatWarning: WARNING: *", "*clause    SDO-30 must: *"])
     assert outcomes(run(desk, *fault, "-W", f"error::{WARNING}")) == {"failed": 1}
+
+
+def test_what_is_made_while_it_runs_is_judged_too(desk: pytest.Pytester) -> None:
+    made = ("--ecat-depth", "default", "-k", "complete/ or walk/0 or random/", "-v")
+    found = run(desk, *made)
+    assert outcomes(found) == {"passed": 3}
+    for name in ("complete::complete/default", "random::walk/0_60", "random::random/seed_0"):
+        found.stdout.fnmatch_lines([f"tiny::{name} PASSED*"])
+    found = run(desk, *made, "--ecat-dut", "model:fault=refused_without_error")
+    found.stdout.fnmatch_lines(["tiny::complete::complete/default FAILED*"])
+    found.stdout.fnmatch_lines(["  case      al/complete/*", "  also      * other case* the same"])
+    found = run(desk, *made, "--ecat-only", "mailbox", "-rs")
+    assert outcomes(found) == {"skipped": 1}
+    found.stdout.fnmatch_lines(["SKIPPED *tiny: there is nothing to try in these layers"])
 
 
 # --- selection ------------------------------------------------------------------------------------
@@ -410,6 +429,13 @@ def test_users_have_a_device_and_a_judged_session(desk: pytest.Pytester) -> None
             "  replay    ecatspec run tiny.ecs --dut model:fault=toggle_ignored --replay case.*",
         ]
     )
+
+
+def test_the_tests_of_the_page_pass(desk: pytest.Pytester) -> None:
+    page = (ROOT / "docs" / "pytest.md").read_text(encoding="utf-8")
+    block = page.partition("## Tests of your own\n\n")[2].partition("\n| fixture")[0]
+    desk.makepyfile(test_page=textwrap.dedent(block))
+    assert outcomes(run(desk, "-k", "test_page")) == {"passed": 2}
 
 
 def test_the_page_has_the_options_and_outcomes() -> None:

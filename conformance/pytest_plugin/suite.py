@@ -193,8 +193,9 @@ class CaseItem(pytest.Item):
         outcomes = {verdict.outcome for verdict in self.verdicts}
         if Outcome.ERROR in outcomes and outcomes.isdisjoint(BLAMING):
             self._fail(Outcome.ERROR)
-        if outcomes and outcomes <= _UNJUDGED:
-            pytest.skip("; ".join(dict.fromkeys(v.reason for v in self.verdicts)))
+        if outcomes <= _UNJUDGED:
+            reasons = "; ".join(dict.fromkeys(v.reason for v in self.verdicts))
+            pytest.skip(reasons or "there is nothing to try in these layers")
 
     def runtest(self) -> None:
         """Say what the verdicts are."""

@@ -203,7 +203,7 @@ class Runner:
                 if broken := self.session.oracle.broken():
                     reason = f"the texts break their own property {', '.join(broken)}"
                     return Verdict(case.name, Outcome.ERROR, case.title, reason)
-        except (Deviation, DeviceFault, Unheard, AdapterError) as error:
+        except (Deviation, DeviceFault, AdapterError) as error:
             return self.explained(case, error)
         finally:
             if any(self._configures(stimulus) for stimulus in case.stimuli):
@@ -315,9 +315,7 @@ class Runner:
 
     # --- verdicts ---------------------------------------------------------------------------------
 
-    def explained(
-        self, case: Case, error: Deviation | DeviceFault | Unheard | AdapterError
-    ) -> Verdict:
+    def explained(self, case: Case, error: Deviation | DeviceFault | AdapterError) -> Verdict:
         """Give the verdict of a case that ends here, with what the session came to."""
         match error:
             case Deviation():

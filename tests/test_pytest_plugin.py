@@ -20,7 +20,7 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from ecatspec.conformance import pytest_plugin
-from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance.adapter import AdapterError, Unheard
 from ecatspec.conformance.adapters import model
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import going, load
@@ -429,6 +429,19 @@ def test_users_have_a_device_and_a_judged_session(desk: pytest.Pytester) -> None
             "  replay    ecatspec run tiny.ecs --dut model:fault=toggle_ignored --replay case.*",
         ]
     )
+
+
+def test_a_session_that_loses_an_exchange_is_skipped(
+    desk: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def write(*_: object) -> int:
+        raise Unheard("a frame got lost")
+
+    monkeypatch.setattr(VirtualAdapter, "write", write)
+    desk.makepyfile(test_mine="def test_way(ecat_session): ecat_session.go_to('PREOP')")
+    found = run(desk, "-k", "test_mine", "-rs")
+    assert outcomes(found)["skipped"] == 1
+    found.stdout.fnmatch_lines(["SKIPPED *a frame got lost"])
 
 
 def test_the_tests_of_the_page_pass(desk: pytest.Pytester) -> None:

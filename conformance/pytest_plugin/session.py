@@ -88,6 +88,8 @@ class EcatSession:
         verdict = self._runner.explained(case, error)
         if verdict.outcome is Outcome.ERROR:
             raise error
+        if verdict.outcome is Outcome.INCONCLUSIVE:
+            pytest.skip(verdict.reason)
         finding = Finding(replace(verdict, replay=token_of(case)))
         words = self._bench.explained(finding)
         if verdict.outcome is Outcome.WARNING:

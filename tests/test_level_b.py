@@ -9,9 +9,13 @@ import pytest
 from c_device import SOURCES, build, sanitizes
 
 from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.devices import load
 from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance.runner import Runner, run_device
+from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.compiled import Model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,5 +66,10 @@ def test_a_slip_of_the_application_is_found(right: str, wrong: str, tmp_path: Pa
     text = application.read_text(encoding="utf-8")
     assert right in text
     application.write_text(text.replace(right, wrong), encoding="utf-8")
-    result = run_device(DEVICE, thermostat(tmp_path, sources=sources), depth="quick")
-    assert result.findings()
+    adapter = open_adapter(thermostat(tmp_path, sources=sources), DEVICE)
+    try:
+        runner = Runner(Model(load(DEVICE)), adapter, adapter.describe())
+        cases = (c for c in all_cases(runner.model, NO_LIMITS, "quick") if c.layer == "sdo")
+        assert any(runner.judge(case).outcome in BLAMING for case in cases)
+    finally:
+        adapter.close()

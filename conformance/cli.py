@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ecatspec.conformance.devices import Sheet
+    from ecatspec.conformance.results import Journal, SetUp
     from ecatspec.conformance.trace import Trace
     from ecatspec.conformance.verdict import Result
     from ecatspec.spec.language.ir import Protocol
@@ -37,6 +38,7 @@ DOES_NOT_CONFORM: Final = 1
 WRONG_INPUT: Final = 2
 INTERRUPTED: Final = 130
 
+_MOST_WORKERS: Final = 256
 _PIPE_WIDTH: Final = 120
 _CLOSED: Final = "there is no standard output; leave it open or redirect it to a file"
 """What is said to a caller who closed it."""
@@ -126,7 +128,20 @@ def cli(context: click.Context) -> int:
 )
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
 @click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
+@click.option("--only", default="", metavar="LAYER,...", help="Only the cases of these layers.")
 @click.option("--replay", default="", metavar="CASE", help="Run only this case: a name or a token.")
+@click.option("--results", metavar="FILE", help="Keep the run here, not in the user's folder.")
+@click.option(
+    "--resume", is_flag=True, help="Go on with the run that is in FILE, or with the last."
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1, _MOST_WORKERS),
+    default=1,
+    show_default=True,
+    help="Processes that share the cases, each with a device of its own.",
+)
+@click.option("--cluster", default="", metavar="ADDRESS", help="Share the cases by a dask cluster.")
 @click.option(
     "--hang-timeout",
     type=float,
@@ -142,7 +157,12 @@ def run(
     depth: str,
     seed: int,
     mailbox: str,
+    only: str,
     replay: str,
+    results: str | None,
+    resume: bool,
+    workers: int,
+    cluster: str,
     hang_timeout: float,
 ) -> int:
     """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
@@ -153,15 +173,29 @@ def run(
     """
     from ecatspec.conformance.devices import load
 
+    if replay and (results is not None or resume):
+        _refuse("one case is no run that could be kept or resumed; leave out --replay")
     protocol = load(device, mailbox)
     options = {
         "depth": depth,
         "seed": seed,
         "mailbox": mailbox,
+        "only": _layers(only),
         "replay": replay,
         "hang_timeout": hang_timeout,
     }
-    result = _run(protocol, device, dut, options)
+    if not replay:
+        options["keep"] = _keeper(results, resume=resume)
+    if workers == 1 and not cluster:
+        result = _run(device, dut, options)
+        return _report((result,), protocol, as_json=as_json)
+    if replay or (workers > 1 and cluster):
+        _refuse("--workers, --cluster and --replay exclude each other; give one of them")
+    from ecatspec.conformance.campaign import Job, crew
+
+    job = Job(device, protocol.digest, dut, mailbox, hang_timeout)
+    with _set_up("run"), crew(job, workers, cluster) as hands:
+        result = _run(device, dut, {**options, "crew": hands})
     return _report((result,), protocol, as_json=as_json)
 
 
@@ -349,25 +383,39 @@ def _trace(device: str, protocol: Protocol) -> Trace:
     if known is None:
         said = f"no run of {protocol.name} is on record: its quick suite runs now, on the model"
         _warn(f"ecatspec: {said}")
-        known = record.record_of(_run(protocol, device, "model", {"depth": "quick"}))
+        options = {"depth": "quick", "keep": _keeper(None)}
+        result = _run(device, "model", options)
+        known = record.record_of(result.subject, result.verdicts)
     return trace_device(Model(protocol), known)
 
 
-def _run(protocol: Protocol, device: str, dut: str, options: Mapping[str, Any]) -> Result:
-    """Run a device and keep the record of it."""
-    from ecatspec.conformance import record
+def _run(device: str, dut: str, options: Mapping[str, Any]) -> Result:
     from ecatspec.conformance.runner import run_device
 
     with _set_up("run"), _progress() as progress:
-        result = run_device(device, dut, progress=progress, **options)
-    if options.get("replay"):
-        return result  # one case says nothing about what a run exercises
-    try:
-        record.save(protocol, record.record_of(result))
-    except OSError as error:
-        why = error.strerror or type(error).__name__
-        _warn(f"ecatspec: warning: no record of the run is kept in {record.folder()} ({why})")
-    return result
+        return run_device(device, dut, progress=progress, **options)
+
+
+def _keeper(path: str | None, *, resume: bool = False) -> Callable[[SetUp], Journal | None]:
+    """Give what opens the journal of a run: in a file, or among the runs of this user."""
+    from pathlib import Path
+
+    from ecatspec.conformance import record, results
+    from ecatspec.conformance.devices import UserError
+
+    def keep(set_up: SetUp) -> Journal | None:
+        if path is not None:
+            return results.begin(Path(path), set_up, resume=resume)
+        try:
+            return record.begin(set_up, resume=resume)
+        except (OSError, UserError) as error:
+            if resume:
+                raise
+            why = getattr(error, "strerror", None) or error
+            _warn(f"ecatspec: warning: no record of the run is kept in {record.folder()} ({why})")
+            return None
+
+    return keep
 
 
 def _reqif() -> Callable[[Sequence[Trace]], str]:
@@ -556,8 +604,7 @@ def export(
     from ecatspec.conformance.vectors.export import Wanted
     from ecatspec.conformance.vectors.export import export as write
 
-    layers = tuple(filter(None, only.split(",")))
-    wanted = Wanted(device, depth, layers, mailbox, seed, dict(map(_way, choices)))
+    wanted = Wanted(device, depth, _layers(only), mailbox, seed, dict(map(_way, choices)))
     with _set_up("export"), _output(output, text=FORMATS[form].text) as out:
         with _progress() as progress:
             made = write(wanted, form, out, progress)
@@ -570,6 +617,10 @@ def export(
             said += f"; {len(made.cut)} end where more may have happened than can be followed"
         _warn(f"ecatspec: {said}")
     return CONFORMS
+
+
+def _layers(words: str) -> tuple[str, ...]:
+    return tuple(filter(None, words.split(",")))
 
 
 def _way(choice: str) -> tuple[str, str]:

@@ -1,25 +1,30 @@
-"""The only place for the record of the last run of a device: what each case showed, on disk."""
+"""The only place for where runs are kept by themselves: the user's folder, the newest of each."""
 
 from __future__ import annotations
 
-import json
+from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from platformdirs import user_state_path
 
-from ecatspec.conformance.files import write_whole
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance import results
+from ecatspec.conformance.devices import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping
 
-    from ecatspec.conformance.verdict import Result
+    from ecatspec.conformance.results import Journal, SetUp
+    from ecatspec.conformance.verdict import Outcome, Verdict
     from ecatspec.spec.language.ir import Protocol
 
-SCHEMA: Final = "ecatspec.record"
-VERSION: Final = 1
+_KEPT: Final = 10
+"""So many runs of each device are kept."""
+_SUFFIX: Final = ".sqlite"
+LAST: Final = "last"
+PREVIOUS: Final = "previous"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,57 +44,70 @@ class Record:
 
 
 def folder() -> Path:
-    """Give the folder in which records lie, of this user."""
+    """Give the folder in which runs lie, of this user."""
     return user_state_path("ecatspec") / "runs"
 
 
-def record_of(result: Result) -> Record:
-    """Give what is kept of a result."""
-    cases = {v.case: CaseRecord(v.outcome, frozenset(v.rules)) for v in result.verdicts}
-    return Record(result.subject, cases)
+def files(device: str) -> list[Path]:
+    """Give the files of the runs of a device, the newest first."""
+    return sorted((folder() / device).glob(f"*{_SUFFIX}"), reverse=True)
 
 
-def save(protocol: Protocol, record: Record) -> None:
-    """Keep the record of a device in place of the one before.
+def begin(set_up: SetUp, *, resume: bool = False) -> Journal:
+    """Open the journal of a new run of a device, or with `resume` that of its last one.
 
     Raises:
-        OSError: The file cannot be written.
+        OSError: The folder cannot be made.
+        UserError: There is no run to resume, or one of another set-up, or no file can be written.
 
     """
-    names = sorted({rule for case in record.cases.values() for rule in case.rules})
-    numbers = {name: number for number, name in enumerate(names)}
-    data = {
-        "schema": SCHEMA,
-        "schema_version": VERSION,
-        "device": protocol.name,
-        "digest": protocol.digest,
-        "subject": record.subject,
-        "rules": names,
-        "cases": {
-            name: [case.outcome.value, sorted(numbers[rule] for rule in case.rules)]
-            for name, case in record.cases.items()
-        },
-    }
-    folder().mkdir(mode=0o700, parents=True, exist_ok=True)
-    write_whole(_file(protocol), json.dumps(data, separators=(",", ":")) + "\n")
+    known = files(set_up.device)
+    if resume:
+        if not known:
+            raise UserError(f"there is no run of {set_up.device} to resume; leave out --resume")
+        return results.begin(known[0], set_up, resume=True)
+    home = folder() / set_up.device
+    home.mkdir(mode=0o700, parents=True, exist_ok=True)
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%f")
+    journal = results.begin(home / f"{now}{_SUFFIX}", set_up)
+    for old in known[_KEPT - 1 :]:
+        with suppress(OSError):
+            old.unlink()
+    return journal
+
+
+def record_of(subject: str, verdicts: Iterable[Verdict]) -> Record:
+    """Give what a run says of its cases."""
+    return Record(subject, {v.case: CaseRecord(v.outcome, frozenset(v.rules)) for v in verdicts})
 
 
 def load(protocol: Protocol) -> Record | None:
     """Give the record of the last run by exactly these texts, None where there is none."""
-    try:
-        data = json.loads(_file(protocol).read_text(encoding="utf-8"))
-        known = data["schema"], data["schema_version"], data["digest"]
-        if known != (SCHEMA, VERSION, protocol.digest):
-            return None
-        names: list[str] = data["rules"]
-        cases = {
-            name: CaseRecord(Outcome(outcome), frozenset(names[number] for number in rules))
-            for name, (outcome, rules) in data["cases"].items()
-        }
-        return Record(str(data["subject"]), cases)
-    except (OSError, ValueError, KeyError, TypeError, IndexError):
-        return None
+    for path in files(protocol.name):
+        with suppress(UserError):
+            run = results.read(path)
+            # one of some layers says nothing about what a run exercises
+            if run.set_up.digest == protocol.digest and not run.set_up.only:
+                return record_of(str(run.set_up.description["name"]), run.verdicts)
+    return None
 
 
-def _file(protocol: Protocol) -> Path:
-    return folder() / f"{protocol.name}.json"
+def named(name: str) -> Path:
+    """Give the file of a run: a path, the `last` of this user, or the `previous` of its device.
+
+    Raises:
+        UserError: There is no such run.
+
+    """
+    if name not in {LAST, PREVIOUS}:
+        return Path(name)
+    every = sorted(folder().glob(f"*/*{_SUFFIX}"), key=lambda path: path.name)
+    if not every:
+        raise UserError(f"no run is kept in {folder()}; run a device, or give a file")
+    if name == LAST:
+        return every[-1]
+    own = files(every[-1].parent.name)
+    if len(own) == 1:
+        device = every[-1].parent.name
+        raise UserError(f"only one run of {device} is kept; run it again, or give a file")
+    return own[1]

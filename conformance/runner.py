@@ -5,17 +5,19 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
-from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
+from ecatspec.conformance.results import SetUp
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.shrink import shortest
+from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.verdict import BLAMING, REASON, Outcome, Result, TraceLine, Verdict
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
@@ -36,13 +38,15 @@ from ecatspec.generators.walks import walk
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rests_on, rule_clauses
 from ecatspec.model.oracle import Oracle
+from ecatspec.model.state import RuleName
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.conformance.results import Journal
+    from ecatspec.conformance.steps import Crew, Step
     from ecatspec.generators.finite_cover import Complete
     from ecatspec.model.candidates import Mismatch
-    from ecatspec.model.state import RuleName
     from ecatspec.model.values import ObjectKey
 
 Progress: TypeAlias = Callable[[int, int, str], None]
@@ -84,32 +88,113 @@ class Runner:
         """Choices that the device met, and nothing told which way it went."""
         self.believed: dict[str, str] = {}
         """The ways at these that a complete suite takes the device to go."""
+        self.signatures: set[str] = set()
+        """The causes that were blamed already."""
+        self.met: set[str] = set()
+        """Choices on which some explanation rested in the step that was taken last."""
+        self.journal: Journal | None = None
+        """Where each judged step is kept; a resumed run finds there what it need not judge."""
+        self.crew: Crew | None = None
+        """Who judges the steps; None: this process, with its own device."""
+        self.only: frozenset[str] = frozenset()
+        """The layers that are tried; none: all."""
+
+    # --- steps ------------------------------------------------------------------------------------
 
     def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases in order; a case of a layer that is not the device's own is skipped."""
-        for number, case in enumerate(cases):
-            if progress is not None:
-                progress(number, total, case.name)
-            verdict = self.judge(case)
-            # where the device was not reached the oracle still knows the case before
-            untried = verdict.outcome in {Outcome.SKIPPED, Outcome.ERROR}
-            certain = () if untried else self._certain_rules()
-            rules = tuple(sorted(map(str, certain)))
-            self.verdicts.append(replace(verdict, flag=case.flag, rules=rules))
+        self._through(map(Trial, cases), progress, total)
 
     def run_long(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases as `run` does; one that shows a new cause is made as short as it goes."""
-        known = {v.signature for v in self.verdicts if v.outcome in BLAMING}
-        for number, case in enumerate(cases):
-            self.run((case,), None, 0)
-            if progress is not None:
-                progress(number, total, case.name)
-            verdict = self.verdicts[-1]
-            if verdict.outcome is not Outcome.PASS:
-                verdict = self.verdicts[-1] = replace(verdict, replay=token_of(case))
-            if verdict.outcome in BLAMING and verdict.signature not in known:
-                known.add(verdict.signature)
-                self.verdicts[-1] = self._shortened(case, verdict)
+        self._through((Trial(case, long=True) for case in cases), progress, total)
+
+    def _through(self, steps: Iterable[Step], progress: Progress | None, total: int) -> None:
+        """Go through steps in order; what the journal has of them is not judged again."""
+        left = self._left(_told(steps, progress, total))
+        if self.crew is None:
+            found: Iterator[Judged] = map(self.take, left)
+        else:
+            found = self.crew.judge(left, self.knowledge, self.description)
+        for judged in found:
+            self._apply(judged)
+            if self.journal is not None:
+                self.journal.keep(judged)
+
+    def _left(self, steps: Iterable[Step]) -> Iterator[Step]:
+        for step in steps:
+            judged = None if self.journal is None else self.journal.again(step.name)
+            if judged is None:
+                yield step
+            else:
+                self._apply(judged)
+
+    def _apply(self, judged: Judged) -> None:
+        """Take what a step told as known; that a step taken here is known already is no harm."""
+        told = judged.learned
+        self.verdicts.append(judged.verdict)
+        if judged.verdict.outcome in BLAMING:
+            self.signatures.add(judged.verdict.signature)
+        self.choices |= told.choices
+        self.untold |= set(told.untold)
+        for reason in told.refusals:
+            self.refusals.setdefault(reason, judged.verdict.case)
+        self.rules |= set(map(_rule_of, told.rules))
+        if told.disbelieved:
+            self.believed = {}
+
+    def wanted(self, layer: str) -> bool:
+        """Tell whether a layer is to be tried."""
+        return not self.only or layer in self.only
+
+    def knowledge(self) -> Knowledge:
+        """Give what verdicts may rest on."""
+        return Knowledge(dict(self.choices), dict(self.believed), frozenset(self.signatures))
+
+    def knowing(self, knowledge: Knowledge) -> None:
+        """Go on as one who knows just this."""
+        self.choices, self.believed = dict(knowledge.choices), dict(knowledge.believed)
+        self.signatures = set(knowledge.signatures)
+        self.untold, self.refusals, self.rules = set(), {}, set()
+
+    def take(self, step: Step) -> Judged:
+        """Judge one step, and tell what it told."""
+        before, believed = self.knowledge(), bool(self.believed)
+        untold, refusals, rules = set(self.untold), set(self.refusals), self.rules
+        self.rules, self.met = set(), set()
+        match step:
+            case Trial(case, long=False):
+                verdict = self._ruled(case)
+            case Trial(case):
+                verdict = self._long(case)
+            case Search(seed=chosen, examples=examples):
+                verdict = self._searched(examples, chosen)
+            case _:
+                assert_never(step)
+        learned = Learned(
+            {name: way for name, way in self.choices.items() if name not in before.choices},
+            tuple(sorted(self.untold - untold)),
+            tuple(reason for reason in self.refusals if reason not in refusals),
+            tuple(sorted(map(str, self.rules))),
+            believed and not self.believed,
+        )
+        self.rules |= rules
+        return Judged(step.name, verdict, learned, frozenset(self.met))
+
+    def _ruled(self, case: Case) -> Verdict:
+        verdict = self.judge(case)
+        # where the device was not reached the oracle still knows the case before
+        untried = verdict.outcome in {Outcome.SKIPPED, Outcome.ERROR}
+        certain = () if untried else self._certain_rules()
+        return replace(verdict, flag=case.flag, rules=tuple(sorted(map(str, certain))))
+
+    def _long(self, case: Case) -> Verdict:
+        verdict = self._ruled(case)
+        if verdict.outcome is not Outcome.PASS:
+            verdict = replace(verdict, replay=token_of(case))
+        if verdict.outcome in BLAMING and verdict.signature not in self.signatures:
+            return self._shortened(case, verdict)
+        return verdict
 
     def _shortened(self, case: Case, verdict: Verdict) -> Verdict:
         def fails(tried: Case) -> bool:
@@ -137,7 +222,7 @@ class Runner:
             depth,
         )
         for suite in suites:
-            if suite.layer not in self.description.protocols:
+            if suite.layer not in self.description.protocols or not self.wanted(suite.layer):
                 continue
             before = len(self.verdicts)
             unsure = self.untold - self.choices.keys()
@@ -206,6 +291,7 @@ class Runner:
         except (Deviation, DeviceFault, AdapterError) as error:
             return self.explained(case, error)
         finally:
+            self.met |= self.session.oracle.met()
             if any(self._configures(stimulus) for stimulus in case.stimuli):
                 self.configured = None
         oracle = self.session.oracle
@@ -262,23 +348,16 @@ class Runner:
 
     def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
         """Vary requests at random; every new cause is shrunk to its shortest run by replay."""
-        if "sdo" not in self.description.protocols:
+        if "sdo" not in self.description.protocols or not self.wanted("sdo"):
             return
-        known = {v.signature for v in self.verdicts if v.outcome in BLAMING}
-        way = way_to(self.model, "PREOP")
         for number in range(_ROUNDS):
-            if progress is not None:
-                progress(number, _ROUNDS, "random requests")
-            verdict = self._explore_once(way, examples, first_seed + number, known)
-            self.verdicts.append(verdict)
-            if verdict.outcome not in BLAMING:
+            self._through((Search(first_seed + number, examples),), progress, _ROUNDS)
+            if self.verdicts[-1].outcome not in BLAMING:
                 return
-            known.add(verdict.signature)
 
-    def _explore_once(
-        self, way: tuple[Stimulus, ...], examples: int, chosen_seed: int, known: set[str]
-    ) -> Verdict:
+    def _searched(self, examples: int, chosen_seed: int) -> Verdict:
         name = f"random/seed_{chosen_seed}"
+        way, known = way_to(self.model, "PREOP"), self.signatures
         failures: list[tuple[Case, Verdict]] = []
 
         def attempt(sent: list[Stimulus]) -> None:
@@ -391,6 +470,18 @@ def _kind(death: Exception) -> str:
     return str(death).rsplit(":", 1)[-1].strip()
 
 
+def _told(steps: Iterable[Step], progress: Progress | None, total: int) -> Iterator[Step]:
+    for number, step in enumerate(steps):
+        if progress is not None:
+            progress(number, total, step.name)
+        yield step
+
+
+def _rule_of(name: str) -> RuleName:
+    machine, _, rule = name.partition(".")
+    return RuleName(machine, rule)
+
+
 def run_device(
     device: str,
     dut: str,
@@ -398,42 +489,78 @@ def run_device(
     depth: str = "default",
     seed: int = 0,
     mailbox: str = "",
-    hang_timeout: float = 10.0,
+    only: tuple[str, ...] = (),
+    hang_timeout: float = HANG_TIMEOUT,
     replay: str = "",
+    keep: Callable[[SetUp], Journal | None] | None = None,
+    crew: Crew | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Run everything against one device under test; Ctrl-C ends with what was found so far.
 
-    `replay` names one case, or is the token of one: only that is run.
+    `replay` names one case, or is the token of one: only that is run. `only` names the layers that
+    are tried, none: all. `keep` opens the journal that each verdict goes to, and from which an
+    interrupted run goes on. A `crew` judges the cases elsewhere.
 
     Raises:
-        UserError: There is no such device or case, or the set-up is wrong.
+        UserError: There is no such device, layer or case, or the set-up is wrong.
 
     """
     began = time.monotonic()
     protocol = load(device, mailbox)
+    for layer in only:
+        if layer not in protocol.machines:
+            raise nearest("layer", layer, tuple(protocol.machines))
     model = Model(protocol)
-    adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
-    interrupted = False
-    guarantees: list[str] = []
-    try:
+    if crew is None:
+        adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
+    else:
+        adapter = crew.adapter()
+    with contextlib.ExitStack() as stack:
+        stack.callback(adapter.close)
         description = adapter.describe()
         runner = Runner(model, adapter, description)
-        if replay:
-            cases = [_replayed(replay, model, limits_of(description))]
-        else:
-            cases = list(all_cases(model, limits_of(description), depth))
-        try:
-            runner.run(cases, progress, len(cases))
-            if not replay:
-                guarantees = runner.complete(depth, progress)
-                walks = (runner.walk(seed + number) for number in range(WALKS[depth]))
-                runner.run_long(walks, progress, WALKS[depth])
-                runner.explore(EXAMPLES[depth], seed, progress)
-        except KeyboardInterrupt:
-            interrupted = True
-    finally:
-        adapter.close()
+        runner.crew, runner.only = crew, frozenset(only)
+        if keep is not None:
+            told = description.to_json()
+            set_up = SetUp(protocol.name, protocol.digest, dut, told, depth, seed, mailbox, only)
+            journal = keep(set_up)
+            if journal is not None:
+                runner.journal = stack.enter_context(journal)
+                began -= journal.seconds
+        guarantees, interrupted = _run_all(runner, depth, seed, replay, progress)
+        result = _result(runner, guarantees, began, interrupted=interrupted)
+        if runner.journal is not None and not result.interrupted:
+            runner.journal.finish()
+    return result
+
+
+def _run_all(
+    runner: Runner, depth: str, seed: int, replay: str, progress: Progress | None
+) -> tuple[list[str], bool]:
+    """Run the whole suite; give what its complete suites are worth, and whether it was stopped."""
+    limits = limits_of(runner.description)
+    guarantees: list[str] = []
+    if replay:
+        cases = [_replayed(replay, runner.model, limits)]
+    else:
+        every = all_cases(runner.model, limits, depth)
+        cases = [case for case in every if runner.wanted(case.layer)]
+    try:
+        runner.run(cases, progress, len(cases))
+        if not replay:
+            guarantees = runner.complete(depth, progress)
+            seeds = range(seed, seed + WALKS[depth])
+            walks = [walk for walk in map(runner.walk, seeds) if runner.wanted(walk.layer)]
+            runner.run_long(walks, progress, len(walks))
+            runner.explore(EXAMPLES[depth], seed, progress)
+    except KeyboardInterrupt:
+        return guarantees, True
+    return guarantees, False
+
+
+def _result(runner: Runner, guarantees: list[str], began: float, *, interrupted: bool) -> Result:
+    model, protocol = runner.model, runner.model.protocol
     rules = sum(len(machine.rules) for machine in protocol.machines.values())
     cited = {c for rule in runner.rules for c in rule_clauses(model, rule)}
     all_cited = {
@@ -441,7 +568,7 @@ def run_device(
     }
     return Result(
         protocol.name,
-        description.name,
+        runner.description.name,
         tuple(runner.verdicts),
         tuple(sorted(str(rule) for rule in runner.rules)),
         rules,
@@ -450,7 +577,7 @@ def run_device(
         time.monotonic() - began,
         runner.choices,
         (
-            *description.notes,
+            *runner.description.notes,
             *(f"refused: {why} (first in {name})" for why, name in runner.refusals.items()),
         ),
         interrupted,

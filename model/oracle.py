@@ -323,6 +323,11 @@ class Oracle:
         names = self.model.protocol.choices
         return frozenset(name for name in names if len(self._ways(name) - {None}) > 1)
 
+    def met(self) -> frozenset[str]:
+        """Give the choices of which some explanation needs to know how the device goes there."""
+        names = self.model.protocol.choices
+        return frozenset(name for name in names if self._ways(name) - {None})
+
     def _ways(self, choice: str) -> set[Value | None]:
         slot = self.model.slots[f"choice {choice}"]
         return {candidate.state.slots[slot] for candidate in self.candidates}

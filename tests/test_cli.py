@@ -26,11 +26,12 @@ from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
 from ecatspec.conformance.vectors import replay
 from ecatspec.conformance.vectors.record import Recorder, RestlessError
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.generators.case import DEPTHS
+from ecatspec.generators.case import DEPTHS, Case
 from ecatspec.generators.complete.faults import Kills
 from ecatspec.generators.formats import FORMATS, Format
 from ecatspec.generators.mutants import Mutant, Operator
 from ecatspec.generators.suite import all_cases
+from ecatspec.generators.token import token_of
 from ecatspec.spec.language.ir import Span
 from ecatspec.spec.language.load import device_names, load_device, load_faults, load_standard
 
@@ -38,7 +39,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from ecatspec.generators.case import Case, Limits
+    from ecatspec.conformance.results import Journal, SetUp
+    from ecatspec.conformance.steps import Crew
+    from ecatspec.generators.case import Limits
     from ecatspec.generators.vectors import Test
     from ecatspec.model.compiled import Model
 
@@ -73,9 +76,12 @@ class Played:
         depth: str,
         seed: int,
         mailbox: str,
+        only: tuple[str, ...],
         replay: str,
         hang_timeout: float,
         progress: Callable[[int, int, str], None] | None,
+        keep: Callable[[SetUp], Journal | None] | None = None,
+        crew: Crew | None = None,
     ) -> Result:
         self.asked = {
             "device": device,
@@ -83,9 +89,12 @@ class Played:
             "depth": depth,
             "seed": seed,
             "mailbox": mailbox,
+            "only": only,
             "replay": replay,
             "hang_timeout": hang_timeout,
             "progress": progress,
+            "kept": keep is not None,
+            "crew": crew is not None,
         }
         if self.error is not None:
             raise self.error
@@ -467,22 +476,29 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
         "depth": "default",
         "seed": 0,
         "mailbox": "",
+        "only": (),
         "replay": "",
         "hang_timeout": HANG_TIMEOUT,
         "progress": None,
+        "kept": True,
+        "crew": False,
     }
     file = str(shipped(tmp_path, DEVICE))
     options = ["--depth", "quick", "--seed", "7", "--mailbox", "64:1486", "--hang-timeout", "0.5"]
-    call("run", file, "--dut", "exec:x --y", *options, "--replay", "al/up")
+    options += ["--only", "al,sdo", "--replay", "al/up"]
+    call("run", file, "--dut", "exec:x --y", *options)
     assert played.asked == {
         "device": file,
         "dut": "exec:x --y",
         "depth": "quick",
         "seed": 7,
         "mailbox": "64:1486",
+        "only": ("al", "sdo"),
         "replay": "al/up",
         "hang_timeout": 0.5,
         "progress": None,
+        "kept": False,
+        "crew": False,
     }
 
 
@@ -530,18 +546,30 @@ def test_a_planted_fault_is_found_and_its_clause_named(call: Call) -> None:
     assert call("run", "reference", "--depth", "quick")[0] == 0
 
 
-def test_a_replay_leaves_the_record_of_the_last_run(call: Call, played: Played) -> None:
-    protocol = load_device(DEVICE)
-    played.results = (result(Outcome.PASS, Outcome.PASS),)
-    assert call("run", DEVICE)[0] == 0
+@pytest.mark.usefixtures("few")
+def test_a_replay_leaves_the_record_of_the_last_run(call: Call) -> None:
+    protocol = load_device("reference")
+    assert call("run", "reference", "--depth", "quick")[0] == 0
     kept = record.load(protocol)
     assert kept is not None
-    assert len(kept.cases) == 2
-    played.results = (result(Outcome.FAIL),)
-    assert call("run", DEVICE, "--replay", "case/0")[0] == 1
+    assert len(kept.cases) > 2
+    token = token_of(Case("one", "one", "al", ()))
+    assert call("run", "reference", "--replay", token)[0] == 0
     assert record.load(protocol) == kept
-    assert call("run", DEVICE)[0] == 1
+    fault = ("--dut", "model:fault=toggle_ignored")
+    assert call("run", "reference", "--depth", "quick", *fault)[0] == 1
     assert record.load(protocol) != kept
+
+
+@pytest.mark.usefixtures("few")
+def test_a_run_that_cannot_be_kept_says_so_and_judges(call: Call, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        (tmp_path / "ecatspec").write_text("a file where a folder should be", encoding="utf-8")
+        patch.setenv("XDG_STATE_HOME", str(tmp_path))
+        status, out, err = call("run", "reference", "--depth", "quick", "--json")
+    assert status == 0
+    assert json.loads(out)["conforms"]
+    assert "no record of the run is kept in" in err
 
 
 def test_the_monitor_judges_by_the_standard(call: Call, played: Played) -> None:

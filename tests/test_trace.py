@@ -6,6 +6,7 @@ import csv
 import io
 import json
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -17,6 +18,8 @@ from ecatspec.conformance.exercise import Touch
 from ecatspec.conformance.files import write_whole
 from ecatspec.conformance.record import CaseRecord, Record
 from ecatspec.conformance.requirements import reqif
+from ecatspec.conformance.results import SetUp
+from ecatspec.conformance.steps import Judged, Learned
 from ecatspec.conformance.trace import Standing, Trace, clause_sheet, total_sheet, trace_device
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
 from ecatspec.generators.case import NO_LIMITS, Case
@@ -28,7 +31,6 @@ from ecatspec.spec.language.load import load_device, load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from ecatspec.spec.language.ir import Protocol
 
@@ -182,28 +184,50 @@ def test_totals_count_each_claim_once(traced: Trace) -> None:
 # --- records --------------------------------------------------------------------------------------
 
 
+def keep(protocol: Protocol, rule: str, only: tuple[str, ...] = ()) -> Path:
+    """Keep a run of one case, which went by one rule."""
+    board = {"name": "a board"}
+    set_up = SetUp(protocol.name, protocol.digest, "exec:x", board, "quick", 0, "", only)
+    with record.begin(set_up) as journal:
+        case = next(iter(ran(Model(protocol), rule, Outcome.WARNING).cases))
+        verdict = Verdict(case, Outcome.WARNING, "a case", rules=(rule,))
+        journal.keep(Judged(case, verdict, Learned()))
+    return record.files(protocol.name)[0]
+
+
 def test_a_record_comes_back_as_it_was(model: Model, state_folder: Path) -> None:
-    kept = ran(model, "al.to_init", Outcome.WARNING)
-    record.save(model.protocol, kept)
-    assert record.load(model.protocol) == kept
-    assert [file.name for file in (state_folder / "ecatspec" / "runs").glob("mine*")] == [
-        "mine.json"
-    ]
+    file = keep(model.protocol, "al.to_init")
+    assert record.load(model.protocol) == ran(model, "al.to_init", Outcome.WARNING)
+    assert file.parent == state_folder / "ecatspec" / "runs" / "mine"
+    assert [each.name for each in file.parent.glob(f"{file.name}*")] == [file.name]
 
 
-@pytest.mark.parametrize("damage", ["", "[]", "{", '{"schema": "other"}', "\udcff"])
+@pytest.mark.parametrize("damage", ["", "[]", "SQLite format 3\0", "\udcff"])
 def test_a_damaged_record_counts_as_none(model: Model, damage: str) -> None:
-    record.save(model.protocol, ran(model, "al.to_init", Outcome.PASS))
-    file = record.folder() / "mine.json"
-    file.write_bytes(damage.encode("utf-8", "surrogateescape"))
+    forget(model.protocol)
+    keep(model.protocol, "al.to_init").write_bytes(damage.encode("utf-8", "surrogateescape"))
     assert record.load(model.protocol) is None
 
 
 def test_a_record_of_other_texts_counts_as_none(model: Model, tmp_path: Path) -> None:
-    record.save(model.protocol, ran(model, "al.to_init", Outcome.PASS))
+    keep(model.protocol, "al.to_init")
     file = tmp_path / "mine.ecs"
     file.write_text(TEXT.replace("= 100", "= 101"), encoding="utf-8")
     assert record.load(load_file(str(file))) is None
+
+
+def test_a_run_of_some_layers_is_no_record_of_all(model: Model) -> None:
+    keep(model.protocol, "al.to_init")
+    keep(model.protocol, "al.unknown_state_stays", only=("al",))
+    assert record.load(model.protocol) == ran(model, "al.to_init", Outcome.WARNING)
+
+
+def test_the_last_runs_of_a_device_are_kept(model: Model) -> None:
+    forget(model.protocol)
+    kept = [keep(model.protocol, "al.to_init") for _ in range(12)]
+    assert record.files(model.protocol.name) == kept[:1:-1]
+    assert (record.named("last"), record.named("previous")) == (kept[-1], kept[-2])
+    assert record.named("here") == Path("here")
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -227,6 +251,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str, str
 
     def run_device(device: str, dut: str, **options: object) -> Result:
         assert (dut, options["depth"]) == ("model", "quick")
+        keep(load_file(device), "al.unknown_state_stays")
         verdicts = (Verdict("al/none", Outcome.PASS, "x", rules=("al.unknown_state_stays",)),)
         return Result(device, "the model", verdicts, (), 0, (), 0, 0.0)
 
@@ -241,7 +266,8 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str, str
 
 
 def forget(protocol: Protocol) -> None:
-    (record.folder() / f"{protocol.name}.json").unlink(missing_ok=True)
+    for file in record.files(protocol.name):
+        file.unlink()
 
 
 def test_without_a_record_the_model_runs_once(

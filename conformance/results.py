@@ -1,0 +1,341 @@
+"""The only place for results files: a run with each verdict, on disk as soon as it is given.
+
+A results file is an SQLite database. What was judged is handed to the operating system at once, so
+that no death of this process loses it, and forced onto the disk a moment later.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import tempfile
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import msgspec
+
+from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.steps import Judged, Learned
+from ecatspec.conformance.verdict import Verdict
+from ecatspec.conformance.version import version
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import TracebackType
+    from typing import Self
+
+SCHEMA: Final = int.from_bytes(b"ecat")
+"""Tells a results file from other databases."""
+VERSION: Final = 1
+_TABLES: Final = """
+CREATE TABLE run (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE rule (number INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE);
+CREATE TABLE step (
+  number INTEGER PRIMARY KEY,
+  name TEXT NOT NULL,
+  seconds REAL NOT NULL,
+  verdict TEXT NOT NULL,
+  rules TEXT NOT NULL,
+  learned TEXT NOT NULL
+);
+"""
+_SET_UP: Final = "set_up"
+_FINISHED: Final = "finished"
+_FORCED: Final = 0.2
+"""Seconds after which, at the latest, what is judged is forced onto the disk."""
+_NO_OPTIONS: Final = {
+    "digest": "is of other texts",
+    "description": "is of a device that its adapter describes otherwise",
+}
+"""What is said of parts of a set-up that nobody would want to read."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetUp:
+    """All that the verdicts of a run follow from, beside the device itself."""
+
+    device: str
+    digest: str
+    dut: str
+    description: dict[str, Any]
+    """What the adapter says of the device."""
+    depth: str
+    seed: int
+    mailbox: str
+    only: tuple[str, ...]
+    version: str = version()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A run as its file has it."""
+
+    set_up: SetUp
+    verdicts: tuple[Verdict, ...]
+    finished: bool
+
+
+class Journal:
+    """The results file of a run that goes on; `seconds` is how long it took until it was opened."""
+
+    def __init__(self, path: Path, base: sqlite3.Connection) -> None:
+        """Take a database that this process alone has open."""
+        self._path = path
+        self._base = base
+        self._names: dict[int, str] = dict(base.execute("SELECT number, name FROM rule"))
+        self._rules = {name: number for number, name in self._names.items()}
+        self._count = 0
+        rows = base.execute("SELECT name, verdict, rules, learned FROM step ORDER BY number")
+        self._known: Iterator[Judged] = map(self._judged, rows)
+        (before,) = base.execute("SELECT max(seconds) FROM step").fetchone()
+        self.seconds: Final = float(before or 0)
+        self._began = self._forced = time.monotonic()
+
+    def _judged(self, row: tuple[str, str, str, str]) -> Judged:
+        verdict = _verdict(self._names, *row[1:3])
+        told = msgspec.json.decode(row[3], type=Learned)
+        return Judged(row[0], verdict, replace(told, rules=(*told.rules, *verdict.rules)))
+
+    def again(self, name: str) -> Judged | None:
+        """Give the step that comes next, if it was judged before; None: from here on nothing was.
+
+        Raises:
+            UserError: Another step comes next in the file.
+
+        """
+        with _reading(self._path):
+            judged = next(self._known, None)
+        if judged is None:
+            return None
+        self._count += 1
+        if judged.name != name:
+            what = f"{self._path} goes on with {judged.name!r} where this run has {name!r}"
+            raise UserError(f"{what}; it is of another suite: begin another run")
+        return judged
+
+    def keep(self, judged: Judged) -> None:
+        """Add a step.
+
+        Raises:
+            UserError: The file cannot be written any more.
+
+        """
+        now = time.monotonic()
+        force = now - self._forced >= _FORCED
+        own = judged.verdict.rules
+        learned = replace(
+            judged.learned, rules=tuple(r for r in judged.learned.rules if r not in set(own))
+        )
+        new = [name for name in own if name not in self._rules]
+        self._rules |= {name: number for number, name in enumerate(new, len(self._rules))}
+        row = (
+            self._count,
+            judged.name,
+            round(self.seconds + now - self._began, 3),
+            _text(replace(judged.verdict, rules=())),
+            _text([self._rules[name] for name in own]),
+            _text(learned),
+        )
+        with _writing(self._path):
+            self._base.execute(f"PRAGMA synchronous = {'FULL' if force else 'NORMAL'}")
+            with self._base:
+                self._base.execute("BEGIN")
+                rules = ((self._rules[name], name) for name in new)
+                self._base.executemany("INSERT INTO rule VALUES (?, ?)", rules)
+                self._base.execute("INSERT INTO step VALUES (?, ?, ?, ?, ?, ?)", row)
+        self._count += 1
+        if force:
+            self._forced = now
+
+    def finish(self) -> None:
+        """Say that nothing is left to judge."""
+        with _writing(self._path):
+            self._base.execute("PRAGMA synchronous = FULL")
+            self._base.execute("INSERT OR REPLACE INTO run VALUES (?, 'true')", (_FINISHED,))
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Leave one file, without a companion that holds a part of it."""
+        with suppress(sqlite3.Error):
+            self._base.execute("PRAGMA journal_mode = DELETE")
+        self._base.close()
+
+
+# --- beginnings -----------------------------------------------------------------------------------
+
+
+def begin(path: Path, set_up: SetUp, *, resume: bool = False) -> Journal:
+    """Open the journal of a new run, or with `resume` of the one in the file, which goes on.
+
+    A finished run in the file gives way to a new one.
+
+    Raises:
+        UserError: The file is none of ours, holds a run that is not finished, or has to be resumed
+            and holds a run of another set-up.
+
+    """
+    if "\0" in str(path):
+        raise UserError(f"{str(path)!a} is no path; give that of a file")
+    if not resume:
+        with _writing(path):
+            _create(path, set_up)
+    elif not path.exists():
+        raise UserError(f"there is no run in {path} to resume; leave out --resume")
+    base = _opened(path, write=True)
+    try:
+        _refuse_others(path, _set_up_of(path, base), set_up)
+        return Journal(path, base)
+    except BaseException:
+        base.close()
+        raise
+
+
+def _create(path: Path, set_up: SetUp) -> None:
+    """Put a file without a step in its place, whole or not at all; a finished run gives way."""
+    if path.exists() and path.stat().st_size:
+        _refuse_unfinished(path)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as folder:
+        new = Path(folder) / path.name
+        base = sqlite3.connect(new, isolation_level=None)
+        try:
+            text = f"PRAGMA application_id = {SCHEMA}; PRAGMA user_version = {VERSION};{_TABLES}"
+            base.executescript(f"BEGIN;{text}COMMIT;")
+            base.execute("INSERT INTO run VALUES (?, ?)", (_SET_UP, _text(set_up)))
+        finally:
+            base.close()
+        new.replace(path)
+
+
+def _refuse_unfinished(path: Path) -> None:
+    base = _opened(path, write=True)
+    try:
+        _set_up_of(path, base)
+        finished = _is_finished(base)
+    finally:
+        base.close()
+    if not finished:
+        hint = "go on with it by --resume, or remove it"
+        raise UserError(f"{path} holds a run that is not finished; {hint}")
+
+
+def _refuse_others(path: Path, known: SetUp, wanted: SetUp) -> None:
+    for field in fields(SetUp):
+        there, here = getattr(known, field.name), getattr(wanted, field.name)
+        if there != here:
+            what = _NO_OPTIONS.get(field.name, f"has {field.name} {there!r}, this one {here!r}")
+            raise UserError(f"the run in {path} {what}; resume it as it was, or begin another")
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def read(path: Path) -> Run:
+    """Give the run of a file.
+
+    Raises:
+        UserError: It is no results file, is damaged, or is being written.
+
+    """
+    if not path.is_file():
+        raise UserError(f"there is no file {str(path)!a}; give a results file")
+    base = _opened(path, write=False)
+    try:
+        set_up = _set_up_of(path, base)
+        with _reading(path):
+            names = dict(base.execute("SELECT number, name FROM rule"))
+            rows = base.execute("SELECT verdict, rules FROM step ORDER BY number")
+            verdicts = tuple(_verdict(names, *row) for row in rows)
+            return Run(set_up, verdicts, _is_finished(base))
+    finally:
+        base.close()
+
+
+def _verdict(names: dict[int, str], verdict: str, rules: str) -> Verdict:
+    own = tuple(names[number] for number in msgspec.json.decode(rules, type=list[int]))
+    return replace(msgspec.json.decode(verdict, type=Verdict), rules=own)
+
+
+def _opened(path: Path, *, write: bool) -> sqlite3.Connection:
+    """Open a database and see that it is whole and ours."""
+    with _reading(path):
+        mode = "rw" if write or path.with_name(f"{path.name}-wal").exists() else "ro"
+        base = sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode={mode}", timeout=0, isolation_level=None, uri=True
+        )
+        try:
+            base.execute("PRAGMA locking_mode = EXCLUSIVE")
+            _check(path, base)
+            if write:
+                base.execute("PRAGMA journal_mode = WAL")
+        except BaseException:
+            base.close()
+            raise
+    return base
+
+
+def _check(path: Path, base: sqlite3.Connection) -> None:
+    (schema,) = base.execute("PRAGMA application_id").fetchone()
+    (found,) = base.execute("PRAGMA user_version").fetchone()
+    if schema != SCHEMA:
+        raise UserError(f"{path} is no results file; give one that a run has written")
+    if found != VERSION:
+        what = f"{path} is a results file of version {found}, this ecatspec reads {VERSION}"
+        raise UserError(f"{what}; read it with the ecatspec that wrote it")
+    (health,) = base.execute("PRAGMA quick_check(1)").fetchone()
+    if health != "ok":
+        raise sqlite3.DatabaseError(health)
+
+
+def _set_up_of(path: Path, base: sqlite3.Connection) -> SetUp:
+    with _reading(path):
+        row = base.execute("SELECT value FROM run WHERE name = ?", (_SET_UP,)).fetchone()
+        if row is None:
+            raise UserError(f"{path} holds no run yet; remove it")
+        return msgspec.json.decode(row[0], type=SetUp)
+
+
+def _is_finished(base: sqlite3.Connection) -> bool:
+    return bool(base.execute("SELECT 1 FROM run WHERE name = ?", (_FINISHED,)).fetchone())
+
+
+def _text(value: object) -> str:
+    return msgspec.json.encode(value).decode()
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Say what is wrong with a file that is read."""
+    try:
+        yield
+    except (sqlite3.Error, msgspec.MsgspecError, KeyError, UnicodeError) as error:
+        if _is_busy(error):
+            raise UserError(f"a run is writing {path}; wait for its end") from None
+        what = f"{path} is no results file, or a damaged one ({error})"
+        raise UserError(f"{what}; give one that a run has written") from None
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say what is wrong with a file that is written."""
+    try:
+        yield
+    except (sqlite3.Error, OSError) as error:
+        if _is_busy(error):
+            raise UserError(f"a run is writing {path}; give another file") from None
+        hint = "make room or give another file"
+        raise UserError(f"{path} cannot be written ({error}); {hint}") from None
+
+
+def _is_busy(error: Exception) -> bool:
+    code = getattr(error, "sqlite_errorcode", None)
+    return code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}

@@ -47,6 +47,7 @@ _CHAPTER: Final = "markdown"
 
 EXAMPLES: Final = {
     "run": "ecatspec run kollmorgen-akd --dut canopen",
+    "compare": "ecatspec compare previous last",
     "monitor": "ecatspec monitor capture.pcapng --device kollmorgen-akd",
     "check": "ecatspec check spec/devices/kollmorgen-akd.ecs",
     "show": "ecatspec show kollmorgen-akd al",
@@ -221,6 +222,30 @@ def adapters(*, as_json: bool, include: bool) -> int:
         title = "ways to reach a device under test"
         _print(_table(Sheet("adapters", title, ("adapter", "what it reaches", "example"), rows)))
     return CONFORMS
+
+
+@cli.command(epilog=_example("compare"))
+@click.argument("first", metavar="RUN1")
+@click.argument("second", metavar="RUN2")
+@click.option("--json", "as_json", is_flag=True, help="Give the comparison as JSON.")
+def compare(*, first: str, second: str, as_json: bool) -> int:
+    """Tell what became better or worse from RUN1 to RUN2, by case, finding and clause.
+
+    Both are results files (`run --results FILE`), or `last` and `previous`: the newest run of this
+    user, and the one before of the same device. Exit status: 0 nothing is worse, 1 something is.
+    """
+    from ecatspec.conformance import compare as comparing
+    from ecatspec.conformance import record, results
+
+    runs = [results.read(record.named(name)) for name in (first, second)]
+    found = comparing.compare(*runs)
+    if as_json:
+        _print_json("ecatspec.compare", comparing.as_data(found))
+    else:
+        lines = (comparing.headline(found), *(f"note: {note}" for note in found.notes()))
+        _print("".join(f"{line}\n" for line in lines))
+        _print("".join(map(_table, comparing.sheets(found))))
+    return DOES_NOT_CONFORM if found.worse else CONFORMS
 
 
 @cli.command(epilog=_example("monitor"))

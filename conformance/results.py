@@ -191,9 +191,11 @@ def begin(path: Path, set_up: SetUp, *, resume: bool = False) -> Journal:
             _create(path, set_up)
     elif not path.exists():
         raise UserError(f"there is no run in {path} to resume; leave out --resume")
-    base = _opened(path, write=True)
+    base = _opened(path)
     try:
         _refuse_others(path, _set_up_of(path, base), set_up)
+        with _writing(path):
+            base.execute("PRAGMA journal_mode = WAL")
         return Journal(path, base)
     except BaseException:
         base.close()
@@ -217,7 +219,7 @@ def _create(path: Path, set_up: SetUp) -> None:
 
 
 def _refuse_unfinished(path: Path) -> None:
-    base = _opened(path, write=True)
+    base = _opened(path)
     try:
         _set_up_of(path, base)
         finished = _is_finished(base)
@@ -248,7 +250,7 @@ def read(path: Path) -> Run:
     """
     if not path.is_file():
         raise UserError(f"there is no file {str(path)!a}; give a results file")
-    base = _opened(path, write=False)
+    base = _opened(path)
     try:
         set_up = _set_up_of(path, base)
         with _reading(path):
@@ -265,18 +267,14 @@ def _verdict(names: dict[int, str], verdict: str, rules: str) -> Verdict:
     return replace(msgspec.json.decode(verdict, type=Verdict), rules=own)
 
 
-def _opened(path: Path, *, write: bool) -> sqlite3.Connection:
+def _opened(path: Path) -> sqlite3.Connection:
     """Open a database and see that it is whole and ours."""
     with _reading(path):
-        mode = "rw" if write or path.with_name(f"{path.name}-wal").exists() else "ro"
-        base = sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode={mode}", timeout=0, isolation_level=None, uri=True
-        )
+        name = f"{path.absolute().as_uri()}?mode=rw"  # one that was killed left more to be taken in
+        base = sqlite3.connect(name, timeout=0, isolation_level=None, uri=True)
         try:
             base.execute("PRAGMA locking_mode = EXCLUSIVE")
             _check(path, base)
-            if write:
-                base.execute("PRAGMA journal_mode = WAL")
         except BaseException:
             base.close()
             raise

@@ -3,61 +3,395 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
-import signal
 import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
-from typing import TYPE_CHECKING
+from functools import partial
+from pathlib import Path
 
 import pytest
+from short import DRIVE, FAULT, SMALL, same, shorten
 
-from ecatspec.conformance import campaign, cli, results
-from ecatspec.conformance import runner as runner_module
-from ecatspec.conformance.campaign import Elsewhere, Job, Workers, crew, stands
-from ecatspec.conformance.devices import UserError, load
-from ecatspec.conformance.results import Run, SetUp, begin, read
+from ecatspec.conformance import cli, results
+from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.results import SetUp, begin, read
 from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
-from ecatspec.conformance.verdict import Outcome, Verdict
-from ecatspec.generators.case import NO_LIMITS, Case
-from ecatspec.generators.finite_cover import complete_suites
-from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.steps import Judged, Learned
+from ecatspec.conformance.verdict import Outcome, TraceLine, Verdict
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
+Call = Callable[..., tuple[int, str, str]]
 
-    from ecatspec.conformance.verdict import Result
-
-SMALL = "reference"
-FAULT = "model:fault=mailbox_check_forgotten"
-
-
-@cache
-def cases(device: str) -> tuple[Case, ...]:
-    """Some of all kinds, so that choices are found out in many places."""
-    model = Model(load(device))
-    every = list(all_cases(model, NO_LIMITS, "quick"))
-    return tuple(every[::29])
+SET_UP = SetUp("mine", "00", "exec:x", {"name": "a board"}, "quick", 0, "", ())
+JUDGED = (
+    Judged("one", Verdict("one", Outcome.PASS, "first", rules=("al.a", "al.b")), Learned()),
+    Judged(
+        "two",
+        Verdict(
+            "two",
+            Outcome.FAIL,
+            "second",
+            "a reason",
+            ("this", "that"),
+            "other",
+            ("AL-01",),
+            ("AKD-001",),
+            (TraceLine(3, "MainDevice", "asks"), TraceLine(4, "SubDevice", "answers")),
+            "0.0 ms",
+            "a signature",
+            "a flag",
+            ("al.b",),
+            "case.x",
+        ),
+        Learned({"way": "left"}, ("right",), ("for no reason",), ("al.b", "al.c"), True),  # noqa: FBT003
+    ),
+)
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    def suites(*arguments: object) -> Iterator[object]:
-        yield from complete_suites(*arguments)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(runner_module, "all_cases", lambda model, *_: cases(model.protocol.name))
-    monkeypatch.setitem(runner_module.EXAMPLES, "default", 3)
-    monkeypatch.setitem(runner_module.WALKS, "default", 3)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten(monkeypatch)
 
 
-def same(first: Result, second: Result) -> None:
-    assert first.verdicts == second.verdicts
-    assert replace(first, seconds=0) == replace(second, seconds=0)
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    def run(*arguments: str) -> tuple[int, str, str]:
+        status = cli.main(arguments)
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+def kept(path: Path) -> None:
+    """Keep a finished run."""
+    with begin(path, SET_UP) as journal:
+        for judged in JUDGED:
+            journal.keep(judged)
+        journal.finish()
+
+
+# --- a file ---------------------------------------------------------------------------------------
+
+
+def test_a_run_comes_back_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    kept(file)
+    run = read(file)
+    assert run.set_up == SET_UP
+    assert run.verdicts == tuple(judged.verdict for judged in JUDGED)
+    assert run.finished
+    assert list(tmp_path.iterdir()) == [file], "one file, without companions"
+    file.chmod(0o444)
+    assert read(file) == run
+
+
+def test_a_resumed_run_gets_what_was_judged(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    kept(file)
+    with begin(file, SET_UP, resume=True) as journal:
+        first, second = (journal.again(judged.name) for judged in JUDGED)
+        assert journal.again("three") is None
+        third = Judged(
+            "three", Verdict("three", Outcome.PASS, "", rules=("al.d", "al.a")), Learned()
+        )
+        journal.keep(third)
+    assert first is not None
+    assert second is not None
+    assert (first.verdict, second.verdict) == (JUDGED[0].verdict, JUDGED[1].verdict)
+    told = replace(second.learned, rules=tuple(sorted(second.learned.rules)))
+    assert told == JUDGED[1].learned
+    assert read(file).verdicts == (first.verdict, second.verdict, third.verdict)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"device": "other"}, "has device 'mine', this one 'other'"),
+        ({"digest": "01"}, "is of other texts"),
+        ({"dut": "exec:y"}, "has dut 'exec:x', this one 'exec:y'"),
+        ({"description": {"name": "x"}}, "its adapter describes otherwise"),
+        ({"depth": "default"}, "has depth 'quick', this one 'default'"),
+        ({"seed": 1}, "has seed 0, this one 1"),
+        ({"mailbox": "64"}, "has mailbox '', this one '64'"),
+        ({"only": ("al",)}, "has only (), this one ('al',)"),
+        ({"version": "0.0"}, "this one '0.0'"),
+    ],
+)
+def test_a_run_is_resumed_as_it_was_begun(
+    tmp_path: Path, changed: dict[str, object], words: str
+) -> None:
+    file = tmp_path / "run"
+    kept(file)
+    with pytest.raises(UserError) as caught:
+        begin(file, replace(SET_UP, **changed), resume=True)  # type: ignore[arg-type]
+    assert words in str(caught.value)
+    assert read(file).finished
+
+
+def test_a_suite_that_goes_on_otherwise_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    kept(file)
+    with begin(file, SET_UP, resume=True) as journal, pytest.raises(UserError) as caught:
+        journal.again("another")
+    assert "goes on with 'one' where this run has 'another'" in str(caught.value)
+
+
+def test_a_new_run_takes_the_place_of_a_finished_one_only(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    kept(file)
+    with begin(file, SET_UP) as journal:
+        journal.keep(JUDGED[0])
+    assert len(read(file).verdicts) == 1
+    with pytest.raises(UserError, match="not finished; go on with it by --resume"):
+        begin(file, SET_UP)
+    other = tmp_path / "notes"
+    other.write_text("what I did today", encoding="utf-8")
+    with pytest.raises(UserError, match="is no results file"):
+        begin(other, SET_UP)
+    assert other.read_text(encoding="utf-8") == "what I did today"
+
+
+def test_one_run_writes_a_file_at_a_time(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    with begin(file, SET_UP) as journal:
+        journal.keep(JUDGED[0])
+        for use in (read, partial(begin, set_up=SET_UP, resume=True)):
+            code = f"import sys; sys.path = {sys.path}\n" + _OTHER.format(use=_USES[use is read])
+            done = subprocess.run(
+                [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False
+            )
+            assert done.stdout == f"a run is writing {file}; wait for its end\n", done.stderr
+
+
+_USES = {True: "results.read(path)", False: "results.begin(path, None, resume=True)"}
+_OTHER = """
+from pathlib import Path
+from ecatspec.conformance import results
+from ecatspec.conformance.devices import UserError
+path = Path(sys.argv[1])
+try:
+    {use}
+except UserError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("damage", ["text", "empty", "cut", "torn", "other", "newer", "folder"])
+def test_what_is_no_results_file_is_one_line(call: Call, tmp_path: Path, damage: str) -> None:
+    good, file = tmp_path / "good", tmp_path / "run"
+    kept(good)
+    kept(file)
+    whole = good.read_bytes()
+    match damage:
+        case "text":
+            file.write_text("what I did today\n" * 200, encoding="utf-8")
+        case "empty":
+            file.write_bytes(b"")
+        case "cut":
+            file.write_bytes(whole[: len(whole) // 2])
+        case "torn":
+            file.write_bytes(whole[:4096] + bytes(len(whole) - 4096))
+        case "other":
+            file.unlink()
+            with sqlite3.connect(file) as base:
+                base.execute("CREATE TABLE run (name TEXT, value TEXT)")
+            base.close()
+        case "newer":
+            with sqlite3.connect(file) as base:
+                base.execute("PRAGMA user_version = 99")
+            base.close()
+        case _:
+            file.unlink()
+            file.mkdir()
+    with pytest.raises(UserError) as caught:
+        read(file)
+    assert str(file) in str(caught.value)
+    for first, second in ((file, good), (good, file)):
+        status, out, err = call("compare", str(first), str(second))
+        assert (status, out) == (2, "")
+        assert str(file) in err
+        assert err.count("\n") == 1
+
+
+# --- a run that goes on ---------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("short")
+@pytest.mark.parametrize(("device", "dut"), [(SMALL, "model"), (SMALL, FAULT), (DRIVE, "model")])
+def test_a_resumed_run_is_as_one_that_nobody_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str, dut: str
+) -> None:
+    file = tmp_path / "run"
+    whole = run_device(device, dut)
+    count = len(whole.verdicts)
+    told = 0
+
+    def progress(_number: int, _total: int, _name: str) -> None:
+        nonlocal told
+        told += 1
+        if told == stop:
+            raise KeyboardInterrupt
+
+    # where choices were found out, in a complete suite, in the random part
+    for stop in (1, 9, count // 2, count - 15, count - 2):
+        told = 0
+        keep = partial(begin, file, resume=file.exists())
+        part = run_device(device, dut, keep=keep, progress=progress)
+        assert part.interrupted
+        assert read(file).verdicts == part.verdicts == whole.verdicts[: stop - 1]
+    asked: list[str] = []
+
+    def counted(journal: results.Journal, judged: Judged) -> None:
+        asked.append(judged.name)
+        keep_it(journal, judged)
+
+    keep_it = results.Journal.keep
+    monkeypatch.setattr(results.Journal, "keep", counted)
+    same(run_device(device, dut, keep=partial(begin, file, resume=True)), whole)
+    assert len(asked) == count - len(part.verdicts), "nothing is judged twice"
+    same(run_device(device, dut, keep=partial(begin, file, resume=True)), whole)
+    assert len(asked) == count - len(part.verdicts)
+    assert read(file).finished
+
+
+@pytest.mark.usefixtures("short")
+def test_a_run_that_goes_on_by_command(call: Call, tmp_path: Path) -> None:
+    file = str(tmp_path / "run")
+    run = ("run", SMALL, "--only", "al", "--json")
+    status, out, _ = call(*run, "--results", file)
+    assert status == 0
+    (first,) = json.loads(out)["results"]
+    # a walk is one of AL, wherever it leads
+    assert {v.case.partition("/")[0] for v in read(Path(file)).verdicts} == {"al", "walk"}
+    status, out, _ = call(*run, "--results", file, "--resume")
+    assert status == 0
+    (again,) = json.loads(out)["results"]
+    assert first | {"seconds": 0} == again | {"seconds": 0}
+    assert again["seconds"] >= first["seconds"] - 1
+    for more, words in (
+        (("--resume", "--results", f"{file}0"), "there is no run in"),
+        (("--resume", "--results", file, "--seed", "1"), "has seed 0, this one 1"),
+        (("--replay", "x", "--results", file), "leave out --replay"),
+        (("--results", str(tmp_path / "none" / "run")), "cannot be written"),
+        (("--only", "la"), "no layer is called 'la'"),
+    ):
+        status, out, err = call(*run[:2], "--json", *run[2:4] * ("--only" not in more), *more)
+        assert (status, out) == (2, ""), more
+        assert words in err
+        assert err.count("\n") == 1
+
+
+# --- death ----------------------------------------------------------------------------------------
+
+_DEATHS = """
+import sys; sys.path = {path}
+import os, random, signal, time
+from functools import partial
+from pathlib import Path
+from ecatspec.conformance import results, runner
+from ecatspec.conformance.devices import load
+from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.compiled import Model
+
+file, chosen = Path(sys.argv[1]), random.Random(11)
+cases = [c for c in all_cases(Model(load("reference")), NO_LIMITS, "quick") if c.layer == "al"]
+runner.all_cases = lambda *_: cases
+
+def child(told):
+    def progress(number, total, name):
+        os.write(told, number.to_bytes(4, "big"))
+    keep = partial(results.begin, file, resume=file.exists())
+    options = dict(depth="quick", only=("al",), keep=keep, progress=progress)
+    runner.run_device("reference", "model", **options)
+    os._exit(0)
+
+deaths = count = 0
+while deaths < 20:
+    if file.exists() and count == len(cases):
+        file.unlink()
+        count = 0
+    reader, writer = os.pipe()
+    process = os.fork()
+    if not process:
+        child(writer)
+    os.close(writer)
+    last = os.read(reader, 4)
+    time.sleep(chosen.uniform(0, 0.12))
+    os.kill(process, signal.SIGKILL)
+    status = os.waitpid(process, 0)[1]
+    while more := os.read(reader, 4):
+        last = more
+    os.close(reader)
+    deaths += os.WIFSIGNALED(status)
+    # what was told to be next: all before it is judged
+    judged, before = int.from_bytes(last, "big"), count
+    run = results.read(file)
+    count = len(run.verdicts)
+    names = [verdict.case for verdict in run.verdicts]
+    assert names == [case.name for case in cases[:count]], "none lost, none twice"
+    assert count >= judged, (count, judged)
+    assert count >= before, (count, before)
+    print(count, flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process is forked and killed")
+def test_twenty_deaths_lose_nothing_that_was_judged(tmp_path: Path) -> None:
+    code = _DEATHS.format(path=sys.path)
+    command = [sys.executable, "-c", code, str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    counts = [int(line) for line in done.stdout.split()]
+    assert len(counts) >= 20
+    assert len(set(counts)) > 5, "deaths were at many places"
+
+
+def test_whatever_a_power_cut_leaves_is_a_run_as_far_as_it_goes(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    with begin(file, SET_UP) as journal:
+        for number in range(30):
+            case = f"case {number}"
+            journal.keep(Judged(case, Verdict(case, Outcome.PASS, case), Learned()))
+        log = file.with_name("run-wal").read_bytes()
+        base = file.read_bytes()
+    left = tmp_path / "left"
+    found = set()
+    for length in range(0, len(log), len(log) // 60):
+        for path in tmp_path.glob("left*"):
+            path.unlink()
+        left.write_bytes(base)
+        (tmp_path / "left-wal").write_bytes(log[:length])
+        verdicts = read(left).verdicts
+        assert [v.case for v in verdicts] == [f"case {n}" for n in range(len(verdicts))]
+        assert read(left).verdicts == verdicts
+        found.add(len(verdicts))
+    assert len(found) > 20
+    assert max(found) >= 29
+
+
+def test_what_is_judged_is_forced_onto_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    with begin(tmp_path / "run", SET_UP) as journal:
+        modes = []
+        for clock[0] in (0.1, 0.15, 0.3, 0.4, 0.51):
+            journal.keep(JUDGED[0])
+            modes.append(journal._base.execute("PRAGMA synchronous").fetchone()[0])  # noqa: SLF001
+    assert modes == [1, 1, 2, 1, 2]
+
+
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    with begin(tmp_path / "run", SET_UP) as journal:
+        journal._base.execute("PRAGMA max_page_count = 40")  # noqa: SLF001
+        case = "case" * 1000
+        long = Judged(case, Verdict(case, Outcome.PASS, case), Learned())
+        with pytest.raises(UserError) as caught:
+            any(map(journal.keep, [long] * 1000))
+    assert "cannot be written (database or disk is full)" in str(caught.value)
+    assert len(read(tmp_path / "run").verdicts) < 1000

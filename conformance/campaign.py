@@ -200,8 +200,8 @@ class Workers:
                 found: list[Judged] = first.answer.result()
             except Died:
                 self._died(f"judged {first.steps[0].name} or what follows")
-                under_way.appendleft(first)
-                under_way = deque(s if s.answer.done() else shard(s.steps) for s in under_way)
+                others = (s if s.answer.done() else shard(s.steps) for s in under_way)
+                under_way = deque((shard(first.steps), *others))
                 continue
             used = first.knowledge
             for number, (step, judged) in enumerate(zip(first.steps, found, strict=True)):

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
+import time
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from distributed import Client, LocalCluster
 from short import DRIVE, FAULT, SMALL, same, shorten
 
-from ecatspec.conformance import campaign
-from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance import campaign, cli, runner
+from ecatspec.conformance.adapter import AdapterError, Description
+from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.campaign import Job, Workers, crew, stands
-from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.devices import UserError, load, pinned
 from ecatspec.conformance.pools import Died
 from ecatspec.conformance.results import begin, read
 from ecatspec.conformance.runner import run_device
 from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.verdict import Outcome, Verdict
-from ecatspec.generators.case import Case
+from ecatspec.generators.case import NO_LIMITS, Case
+from ecatspec.generators.suite import all_cases
+from ecatspec.model.compiled import Model
+from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,6 +42,9 @@ if TYPE_CHECKING:
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     shorten(monkeypatch)
+
+
+JOB = Job(SMALL, load(SMALL).digest, "model", "", 10.0)
 
 
 def job_of(device: str, dut: str) -> Job:
@@ -50,8 +62,11 @@ def judged(outcome: Outcome, met: str = "", signature: str = "") -> Judged:
 
 
 def knowing(choices: str = "", believed: str = "", signatures: str = "") -> Knowledge:
-    ways = (dict(word.split("=") for word in words.split()) for words in (choices, believed))
-    return Knowledge(*ways, frozenset(signatures.split()))
+    ways, beliefs = (
+        {word.partition("=")[0]: word.partition("=")[2] for word in words.split()}
+        for words in (choices, believed)
+    )
+    return Knowledge(ways, beliefs, frozenset(signatures.split()))
 
 
 @pytest.mark.parametrize(
@@ -97,16 +112,18 @@ def test_a_verdict_stands_that_rests_on_nothing_new(
 
 
 class Now:
-    """An answer that is there."""
+    """An answer that is there, or None: that never comes."""
 
-    def __init__(self, call: Callable[[], object]) -> None:
-        self.call = call
+    def __init__(self, answer: object) -> None:
+        self.answer = answer
 
     def result(self) -> object:
-        return self.call()
+        if self.answer is None:
+            raise Died
+        return self.answer
 
     def done(self) -> bool:
-        return True
+        return self.answer is not None
 
 
 class Here:
@@ -121,14 +138,7 @@ class Here:
 
     def submit(self, function: Callable[..., object], *arguments: object) -> Answer:
         self.calls += 1
-        if self.calls in self.deaths:
-            return Now(self._die)
-        found = function(*arguments)
-        return Now(lambda: found)
-
-    @staticmethod
-    def _die() -> object:
-        raise Died
+        return Now(None if self.calls in self.deaths else function(*arguments))
 
 
 @pytest.fixture
@@ -138,9 +148,7 @@ def desk() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("desk")
-@pytest.mark.parametrize(
-    ("device", "dut"), [(SMALL, "model"), (SMALL, FAULT), (DRIVE, "model")]
-)
+@pytest.mark.parametrize(("device", "dut"), [(SMALL, "model"), (SMALL, FAULT), (DRIVE, "model")])
 def test_several_workers_give_the_verdicts_of_one(device: str, dut: str) -> None:
     # six shards ahead in the same process: none knows what those before it have told
     alone = run_device(device, dut)
@@ -150,14 +158,65 @@ def test_several_workers_give_the_verdicts_of_one(device: str, dut: str) -> None
     assert pool.calls * pool.at_once > len(alone.verdicts) + 3 * pool.at_once
 
 
+class TwoFaced:
+    """A device that goes one way at a choice or another, by what was written to it before."""
+
+    def __init__(self, device: str) -> None:
+        texts = load(device)
+        self.faces = [
+            VirtualAdapter(
+                VirtualSubDevice(pinned(texts, {"refused_in_op": way})), described(texts)
+            )
+            for way in ("stay", "drop_to_safeop")
+        ]
+        self.written = 0
+        self.shown: VirtualAdapter | None = None
+
+    def reset(self) -> None:
+        self.written, self.shown = 0, None
+        for face in self.faces:
+            face.reset()
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        first, second = (face.read(address, length) for face in self.faces)
+        if first != second and self.shown is None:
+            self.shown = self.faces[self.written % 2]
+        return second if self.shown is self.faces[1] else first
+
+    def write(self, address: int, data: bytes) -> int:
+        self.written += sum(data)
+        first, second = (face.write(address, data) for face in self.faces)
+        return second if self.shown is self.faces[1] else first
+
+    def advance(self, seconds: float) -> None:
+        for face in self.faces:
+            face.advance(seconds)
+
+    def local(self, event: str) -> None:
+        for face in self.faces:
+            face.local(event)
+
+    def close(self) -> None:
+        pass
+
+    def describe(self) -> Description:
+        return self.faces[0].describe()
+
+
 @pytest.mark.usefixtures("desk")
-def test_choices_that_contradict_each_other_are_judged_as_one_process_does() -> None:
-    """A device that goes one way first and another later fails, whoever judges the two."""
-    alone = run_device(SMALL, "model:fault=counter_stands_in_safeop")
-    again = run_device(SMALL, "model:fault=counter_stands_in_safeop", crew=Workers(
-        job_of(SMALL, "model:fault=counter_stands_in_safeop"), Here()
-    ))
-    same(again, alone)
+def test_a_device_that_contradicts_itself_is_blamed_as_by_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each worker alone would find nothing: that both ways were gone shows when they meet."""
+    every = all_cases(Model(load(SMALL)), NO_LIMITS, "quick")
+    refused = [case for case in every if "request_OP/" in case.name][:60]
+    monkeypatch.setattr(runner, "all_cases", lambda *_: refused)
+    for module in (runner, campaign):
+        monkeypatch.setattr(module, "open_adapter", lambda *_, **__: TwoFaced(SMALL))
+    alone = run_device(SMALL, "two-faced", depth="quick")
+    blamed = alone.count(Outcome.FAIL)
+    assert 0 < blamed < len(refused)
+    same(run_device(SMALL, "two-faced", depth="quick", crew=Workers(JOB, Here())), alone)
 
 
 @pytest.mark.usefixtures("desk")
@@ -200,8 +259,8 @@ def test_workers_that_die_again_and_again_end_the_run() -> None:
 # --- processes ------------------------------------------------------------------------------------
 
 
-def children() -> set[int]:
-    """The workers that this process has."""
+def children(of: int) -> set[int]:
+    """The workers that a process has."""
     found = set()
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -209,7 +268,7 @@ def children() -> set[int]:
             words = (entry / "cmdline").read_bytes()
         except OSError:
             continue
-        if parent == os.getpid() and b"spawn_main" in words:
+        if parent == of and b"spawn_main" in words:
             found.add(int(entry.name))
     return found
 
@@ -221,7 +280,7 @@ def killing(at: int) -> Iterator[tuple[Callable[[int, int, str], None], list[int
 
     def progress(number: int, _total: int, _name: str) -> None:
         if number == at and not killed:
-            killed.append(min(children()))
+            killed.append(min(children(os.getpid())))
             os.kill(killed[0], signal.SIGKILL)
 
     yield progress, killed
@@ -236,4 +295,89 @@ def test_a_worker_that_dies_takes_no_case_with_it(tmp_path: Path) -> None:
     assert killed
     same(found, alone)
     assert read(file).verdicts == alone.verdicts, "none lost, none twice"
-    assert not children(), "no worker is left"
+    assert not children(os.getpid()), "no worker is left"
+
+
+_ORPHANS = """
+import sys; sys.path = {path}
+from ecatspec.conformance.campaign import Job, crew
+from ecatspec.conformance.devices import load
+if __name__ == "__main__":
+    with crew(Job("reference", load("reference").digest, "model", "", 10.0), 2, "") as workers:
+        workers.adapter()
+        print("up", flush=True)
+        sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="finds the workers in /proc")
+def test_workers_end_with_who_asked(tmp_path: Path) -> None:
+    script = tmp_path / "orphans.py"
+    script.write_text(_ORPHANS.format(path=sys.path), encoding="utf-8")
+    asking = subprocess.Popen(
+        [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert asking.stdout is not None
+    assert asking.stdout.readline() == b"up\n"
+    workers = children(asking.pid)
+    assert workers
+    asking.kill()
+    asking.communicate()
+    until = time.monotonic() + 10
+    while any(Path(f"/proc/{worker}/cmdline").exists() for worker in workers):
+        assert time.monotonic() < until, "a worker lives on"
+        time.sleep(0.05)
+
+
+def test_two_workers_by_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    run = ("run", SMALL, "--only", "al", "--json", "--results")
+    assert cli.main([*run, str(tmp_path / "one")]) == 0
+    one = json.loads(capsys.readouterr().out)
+    assert cli.main([*run, str(tmp_path / "two"), "--workers", "2"]) == 0
+    two = json.loads(capsys.readouterr().out)
+    one["results"][0]["seconds"] = two["results"][0]["seconds"] = 0
+    assert one == two
+    assert read(tmp_path / "one") == read(tmp_path / "two")
+    for wrong, words in (
+        (("--workers", "0"), "0 is not in the range"),
+        (("--workers", "2", "--replay", "x"), "exclude each other"),
+        (("--workers", "2", "--cluster", "tcp://127.0.0.1:1"), "exclude each other"),
+        (("--workers", "2", "--dut", "modle"), "did you mean 'model'?"),
+        (("--workers", "2", "--dut", "exec:/nonexistent"), "/nonexistent"),
+        (("--cluster", "nonsense://x"), "no cluster answers at nonsense://x"),
+    ):
+        assert cli.main(["run", SMALL, *wrong]) == 2, wrong
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        assert words in captured.err
+        assert captured.err.count("\n") == 1
+
+
+# --- a cluster ------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore")  # those of a package that is not ours
+def test_a_worker_of_a_cluster_that_dies_takes_no_case_with_it(tmp_path: Path) -> None:
+    alone = run_device(SMALL, FAULT)
+    file = tmp_path / "run"
+    killed: list[int] = []
+    with (
+        LocalCluster(
+            n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        pids = list(client.run(os.getpid).values())
+        assert len(set(pids)) == 2
+
+        def progress(number: int, _total: int, _name: str) -> None:
+            if number == 60 and not killed:
+                killed.append(pids[0])
+                os.kill(pids[0], signal.SIGKILL)
+
+        with crew(job_of(SMALL, FAULT), 1, cluster.scheduler_address) as workers:
+            keep = partial(begin, file)
+            found = run_device(SMALL, FAULT, crew=workers, keep=keep, progress=progress)
+    assert killed
+    same(found, alone)
+    assert read(file).verdicts == alone.verdicts, "none lost, none twice"

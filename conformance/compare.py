@@ -89,7 +89,7 @@ class Comparison:
         """Say what keeps the two from being of the same kind."""
         one, other = self.first.set_up, self.second.set_up
         notes = [
-            f"{_WORDS.get(name, name)} differ: {_told(one, name)} and {_told(other, name)}"
+            f"other {_WORDS.get(name, name)}: {_told(one, name)} and {_told(other, name)}"
             for name in _SAME
             if getattr(one, name) != getattr(other, name)
         ]

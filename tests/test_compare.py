@@ -1,0 +1,146 @@
+"""The only place for tests of comparing runs: what is better, what is worse, what says nothing."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+from short import FAULT, SMALL, shorten
+
+from ecatspec.conformance import cli, record
+from ecatspec.conformance.compare import compare, headline
+from ecatspec.conformance.results import Run, SetUp
+from ecatspec.conformance.verdict import Outcome, Verdict
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Call = Callable[..., tuple[int, str, str]]
+
+SET_UP = SetUp("mine", "00", "exec:x", {"name": "a board"}, "quick", 0, "", ())
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    def run(*arguments: str) -> tuple[int, str, str]:
+        status = cli.main(arguments)
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+def run_of(**outcomes: str) -> Run:
+    """Give a run: for each case an outcome, and where it has one a cause, which is its clause."""
+    verdicts = []
+    for case, words in outcomes.items():
+        outcome, _, cause = words.partition(" ")
+        clauses = (cause,) if cause else ()
+        verdict = Verdict(case, Outcome(outcome), case, clauses=clauses, signature=cause)
+        verdicts.append(verdict)
+    return Run(SET_UP, tuple(verdicts), finished=True)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse"),
+    [
+        ("pass", "pass", False),
+        ("pass", "fail A", True),
+        ("fail A", "pass", False),
+        ("fail A", "fail A", False),
+        ("fail A", "crash A", True),
+        ("crash A", "fail A", True),  # less severe, and a finding that was not there
+        ("fail A", "fail B", True),
+        ("pass", "warning A", True),
+        ("pass", "inconclusive", True),
+        ("inconclusive", "skipped", False),
+        ("skipped", "pass", False),
+        ("error", "pass", False),
+        ("pass", "error", True),
+    ],
+)
+def test_what_is_worse(before: str, after: str, *, worse: bool) -> None:
+    assert compare(run_of(a=before, z="pass"), run_of(a=after, z="pass")).worse is worse
+
+
+def test_causes_and_clauses_are_counted() -> None:
+    first = run_of(a="fail A", b="fail A", c="fail B", d="pass", e="fail D")
+    second = run_of(a="fail A", b="pass", c="pass", d="fail C", e="fail D")
+    found = compare(first, second)
+    assert [(c.case, c.worse) for c in found.changes] == [("d", True), ("b", False), ("c", False)]
+    assert [(f.clauses, f.standing) for f in found.findings] == [
+        (("C",), "new"),
+        (("A",), "2 before"),
+        (("D",), "1 before"),
+        (("B",), "gone"),
+    ]
+    assert [(c.name, c.before, c.after) for c in found.clauses] == [
+        ("C", 0, 1),
+        ("A", 2, 1),
+        ("D", 1, 1),
+        ("B", 1, 0),
+    ]
+    assert headline(found) == (
+        "5 cases in common: 1 cases worse, 2 better; 1 findings new, 1 gone, 2 still there"
+    )
+
+
+def test_what_only_one_run_tried_says_nothing() -> None:
+    found = compare(run_of(a="pass", b="fail A"), run_of(a="pass", c="fail B", d="fail B"))
+    assert not found.worse
+    assert (found.common, found.findings, found.clauses) == (1, (), ())
+    assert found.notes() == (
+        "only the first run has 1 of its cases",
+        "only the second run has 2 of its cases",
+    )
+
+
+def test_runs_of_two_kinds_are_told_apart() -> None:
+    first = run_of(a="pass")
+    other = replace(SET_UP, seed=7, digest="1" * 64, only=("al",), dut="exec:y")
+    second = Run(other, first.verdicts, finished=False)
+    assert compare(first, second).notes() == (
+        "other texts: 00 and 111111111111",
+        "other seed: 0 and 7",
+        "other only: none and al",
+        "the second run is not finished: 1 cases",
+    )
+
+
+def test_the_command(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shorten(monkeypatch)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    status, out, err = call("compare", "previous", "last")
+    assert (status, out) == (2, "")
+    assert "no run is kept in" in err
+    assert call("run", SMALL)[0] == 0
+    assert "only one run of reference is kept" in call("compare", "previous", "last")[2]
+    assert call("run", SMALL, "--dut", FAULT)[0] == 1
+    status, out, err = call("compare", "previous", "last")
+    assert (status, err) == (1, "")
+    assert "findings new, 0 gone" in out
+    assert "AL-08" in out
+    status, out, _ = call("compare", "last", "previous", "--json")
+    assert status == 0
+    better = json.loads(out)
+    assert (better["schema"], better["worse"]) == ("ecatspec.compare", False)
+    assert {change["after"] for change in better["cases"]} == {"pass"}
+    assert all(finding["after"] == 0 for finding in better["findings"])
+    assert [run["dut"] for run in better["runs"]] == [FAULT, "model"]
+    status, out, _ = call("compare", "last", str(record.named("last")))
+    assert status == 0
+    assert "0 cases worse, 0 better; 0 findings new, 0 gone" in out
+    gone = str(tmp_path / "none")
+    assert call("compare", "last", gone) == (
+        2,
+        "",
+        f"ecatspec: there is no file '{gone}'; give a results file\n",
+    )
+
+
+def test_a_case_that_stands_twice_counts_at_its_worst() -> None:
+    twice = Run(SET_UP, (*run_of(a="fail A").verdicts, *run_of(a="pass").verdicts), finished=True)
+    assert compare(run_of(a="pass"), twice).worse

@@ -19,12 +19,12 @@ from short import DRIVE, FAULT, SMALL, same, shorten
 
 from ecatspec.conformance import campaign, cli, runner
 from ecatspec.conformance.adapter import AdapterError, Description
-from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.campaign import Job, Workers, crew, stands
 from ecatspec.conformance.devices import UserError, load, pinned
 from ecatspec.conformance.pools import Died
 from ecatspec.conformance.results import begin, read
-from ecatspec.conformance.runner import run_device
+from ecatspec.conformance.runner import SHAPE, Runner, run_device
 from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.verdict import Outcome, Verdict
 from ecatspec.generators.case import NO_LIMITS, Case
@@ -33,8 +33,9 @@ from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
+    from ecatspec.conformance.adapter import Adapter
     from ecatspec.conformance.pools import Answer
     from ecatspec.conformance.steps import Step
 
@@ -106,6 +107,41 @@ def test_a_verdict_stands_that_rests_on_nothing_new(
     step: Step, found: Judged, used: Knowledge, known: Knowledge, *, does: bool
 ) -> None:
     assert stands(step, found, used, known) is does
+
+
+class Told:
+    """A crew that was told what it says."""
+
+    def __init__(self, *told: Judged) -> None:
+        self.told = told
+
+    def adapter(self) -> Adapter:
+        raise NotImplementedError
+
+    def judge(
+        self, steps: Iterable[Step], _known: Callable[[], Knowledge], _description: Description
+    ) -> Iterator[Judged]:
+        for _, judged in zip(steps, self.told, strict=True):
+            yield judged
+
+
+def test_what_steps_told_is_known_afterwards() -> None:
+    adapter = make(SMALL, {})
+    one = Runner(Model(load(SMALL)), adapter, adapter.describe())
+    one.believed = {"b": "x"}
+    verdict = Verdict("one", Outcome.FAIL, "one", signature="s")
+    learned = Learned({"a": "y"}, ("u",), ("for it",), ("al.to_init",))
+    one.crew = Told(
+        Judged("one", verdict, learned), Judged("one", verdict, Learned(refusals=("for it",)))
+    )
+    one.run([CASE, CASE], None, 2)
+    assert one.verdicts == [verdict, verdict]
+    assert one.knowledge() == Knowledge({**SHAPE, "a": "y"}, {"b": "x"}, frozenset({"s"}))
+    assert (one.untold, one.refusals) == ({"u"}, {"for it": "one"})
+    assert set(map(str, one.rules)) == {"al.to_init"}
+    one.crew = Told(Judged("one", verdict, Learned(disbelieved=True)))
+    one.run([CASE], None, 1)
+    assert one.believed == {}
 
 
 # --- crews ----------------------------------------------------------------------------------------
@@ -314,15 +350,14 @@ if __name__ == "__main__":
 def test_workers_end_with_who_asked(tmp_path: Path) -> None:
     script = tmp_path / "orphans.py"
     script.write_text(_ORPHANS.format(path=sys.path), encoding="utf-8")
-    asking = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert asking.stdout is not None
-    assert asking.stdout.readline() == b"up\n"
-    workers = children(asking.pid)
+    ) as asking:
+        assert asking.stdout is not None
+        assert asking.stdout.readline() == b"up\n"
+        workers = children(asking.pid)
+        asking.kill()
     assert workers
-    asking.kill()
-    asking.communicate()
     until = time.monotonic() + 10
     while any(Path(f"/proc/{worker}/cmdline").exists() for worker in workers):
         assert time.monotonic() < until, "a worker lives on"

@@ -2,7 +2,7 @@
 
 Steps are handed out a few at a time with what was known of the device then, and taken back in their
 order. A verdict counts if it rests on nothing that the steps before it have told meanwhile;
-otherwise the step is judged again. docs/decisions/0015 has the reasons.
+otherwise the step is judged again. docs/decisions/0016 has the reasons.
 """
 
 from __future__ import annotations

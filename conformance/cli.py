@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ecatspec.conformance.devices import Sheet
-    from ecatspec.conformance.results import Journal, SetUp
+    from ecatspec.conformance.results import Journal, Basis
     from ecatspec.conformance.trace import Trace
     from ecatspec.conformance.verdict import Result
     from ecatspec.spec.language.ir import Protocol
@@ -421,18 +421,18 @@ def _run(device: str, dut: str, options: Mapping[str, Any]) -> Result:
         return run_device(device, dut, progress=progress, **options)
 
 
-def _keeper(path: str | None, *, resume: bool = False) -> Callable[[SetUp], Journal | None]:
+def _keeper(path: str | None, *, resume: bool = False) -> Callable[[Basis], Journal | None]:
     """Give what opens the journal of a run: in a file, or among the runs of this user."""
     from pathlib import Path
 
     from ecatspec.conformance import record, results
     from ecatspec.conformance.devices import UserError
 
-    def keep(set_up: SetUp) -> Journal | None:
+    def keep(basis: Basis) -> Journal | None:
         if path is not None:
-            return results.begin(Path(path), set_up, resume=resume)
+            return results.begin(Path(path), basis, resume=resume)
         try:
-            return record.begin(set_up, resume=resume)
+            return record.begin(basis, resume=resume)
         except (OSError, UserError) as error:
             if resume:
                 raise

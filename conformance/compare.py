@@ -11,7 +11,7 @@ from ecatspec.conformance.verdict import Outcome
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ecatspec.conformance.results import Run, SetUp
+    from ecatspec.conformance.results import Run, Basis
     from ecatspec.conformance.verdict import Verdict
 
 _WORST_FIRST: Final = (
@@ -87,7 +87,7 @@ class Comparison:
 
     def notes(self) -> tuple[str, ...]:
         """Say what keeps the two from being of the same kind."""
-        one, other = self.first.set_up, self.second.set_up
+        one, other = self.first.basis, self.second.basis
         notes = [
             f"other {_WORDS.get(name, name)}: {_told(one, name)} and {_told(other, name)}"
             for name in _SAME
@@ -103,8 +103,8 @@ class Comparison:
         return tuple(notes)
 
 
-def _told(set_up: SetUp, name: str) -> str:
-    value = getattr(set_up, name)
+def _told(basis: Basis, name: str) -> str:
+    value = getattr(basis, name)
     words = ",".join(value) if isinstance(value, tuple) else str(value)
     return (words[:12] if name == "digest" else words) or "none"
 
@@ -207,10 +207,10 @@ def as_data(found: Comparison) -> dict[str, object]:
         "worse": found.worse,
         "runs": [
             {
-                "device": run.set_up.device,
-                "digest": run.set_up.digest,
-                "dut": run.set_up.dut,
-                "subject": run.set_up.description["name"],
+                "device": run.basis.device,
+                "digest": run.basis.digest,
+                "dut": run.basis.dut,
+                "subject": run.basis.description["name"],
                 "finished": run.finished,
                 "cases": len(run.verdicts),
                 "only_here": alone,

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 
 from ecatspec.conformance.capture.transactions import Capture
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.verdict import REASON, Outcome, Result, TraceLine, Verdict
+from ecatspec.conformance.verdict import (
+    MAIN_DEVICE,
+    REASON,
+    SUB_DEVICE,
+    Outcome,
+    Result,
+    TraceLine,
+    Verdict,
+)
 from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
@@ -84,19 +92,21 @@ class Follower:
             if surprises := self.oracle.surprises():
                 what = f"{' or '.join(surprises)} by itself ({exchange.reference})"
                 self.accidents.append(what)
-                self.recent.append(TraceLine(exchange.time, "SubDevice", what))
+                self.recent.append(TraceLine(exchange.time, SUB_DEVICE, what))
             self.oracle.forget_history()
 
     def _remember(self, exchange: Exchange) -> None:
         if not exchange.working_counter:
             return
-        words = self._words(exchange)
+        words, data = self._words(exchange)
         if words and words != self._shown:
             self._shown = words
-            who = "MainDevice" if exchange.write else "SubDevice"
-            self.recent.append(TraceLine(exchange.time, who, f"{words} ({exchange.reference})"))
+            who = MAIN_DEVICE if exchange.write else SUB_DEVICE
+            said = f"{words} ({exchange.reference})"
+            self.recent.append(TraceLine(exchange.time, who, said, data))
 
-    def _words(self, exchange: Exchange) -> str:
+    def _words(self, exchange: Exchange) -> tuple[str, bytes]:
+        """Give what an exchange says, and the bytes of a message."""
         registers = self.model.protocol.registers
         parts = []
         for name in ("al_control", "al_status", "al_status_code"):
@@ -113,13 +123,15 @@ class Follower:
             parts.append(register_words(self.model, name, fields))
             if name == "al_status" and (not self.path or not self.path[-1].startswith(parts[-1])):
                 self.path.append(f"{parts[-1]} ({exchange.reference})")
+        data = b""
         start = self.oracle.area(SYNC_MANAGERS[0 if exchange.write else 1])
         if start is not None and exchange.address == start[0]:
             message = self.model.decode(exchange.data)
             if message is not None:
                 self.messages[message.frame] += 1
                 parts.append(message_words(self.model, message))
-        return "; ".join(parts)
+                data = exchange.data[: self.model.codec.length(message)]
+        return "; ".join(parts), data
 
     def _verdict(self, mismatch: Mismatch) -> Verdict:
         clauses = self.model.protocol.clauses
@@ -137,6 +149,8 @@ class Follower:
             tuple(self.recent),
             mismatch.exchange.reference,
             mismatch.signature,
+            differing=mismatch.differing,
+            blamed=tuple(map(str, mismatch.rules)),
         )
 
 

@@ -16,7 +16,7 @@ from ecatspec.conformance.devices import UserError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from ecatspec.conformance.results import Journal, SetUp
+    from ecatspec.conformance.results import Journal, Basis
     from ecatspec.conformance.verdict import Outcome, Verdict
     from ecatspec.spec.language.ir import Protocol
 
@@ -53,7 +53,7 @@ def files(device: str) -> list[Path]:
     return sorted((folder() / device).glob(f"*{_SUFFIX}"), reverse=True)
 
 
-def begin(set_up: SetUp, *, resume: bool = False) -> Journal:
+def begin(basis: Basis, *, resume: bool = False) -> Journal:
     """Open the journal of a new run of a device, or with `resume` that of its last one.
 
     Raises:
@@ -61,15 +61,15 @@ def begin(set_up: SetUp, *, resume: bool = False) -> Journal:
         UserError: There is no run to resume, or one of another set-up, or no file can be written.
 
     """
-    known = files(set_up.device)
+    known = files(basis.device)
     if resume:
         if not known:
-            raise UserError(f"there is no run of {set_up.device} to resume; leave out --resume")
-        return results.begin(known[0], set_up, resume=True)
-    home = folder() / set_up.device
+            raise UserError(f"there is no run of {basis.device} to resume; leave out --resume")
+        return results.begin(known[0], basis, resume=True)
+    home = folder() / basis.device
     home.mkdir(mode=0o700, parents=True, exist_ok=True)
     now = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%f")
-    journal = results.begin(home / f"{now}{_SUFFIX}", set_up)
+    journal = results.begin(home / f"{now}{_SUFFIX}", basis)
     for old in known[_KEPT - 1 :]:
         with suppress(OSError):
             old.unlink()
@@ -87,8 +87,8 @@ def load(protocol: Protocol) -> Record | None:
         with suppress(UserError):
             run = results.read(path)
             # one of some layers says nothing about what a run exercises
-            if run.set_up.digest == protocol.digest and not run.set_up.only:
-                return record_of(str(run.set_up.description["name"]), run.verdicts)
+            if run.basis.digest == protocol.digest and not run.basis.only:
+                return record_of(str(run.basis.description["name"]), run.verdicts)
     return None
 
 

@@ -41,7 +41,7 @@ CREATE TABLE step (
   learned TEXT NOT NULL
 );
 """
-_SET_UP: Final = "set_up"
+_BASIS: Final = "basis"
 _FINISHED: Final = "finished"
 _FORCED: Final = 0.2
 """Seconds after which, at the latest, what is judged is forced onto the disk."""
@@ -53,7 +53,7 @@ _NO_OPTIONS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class SetUp:
+class Basis:
     """All that the verdicts of a run follow from, beside the device itself."""
 
     device: str
@@ -72,7 +72,7 @@ class SetUp:
 class Run:
     """A run as its file has it."""
 
-    set_up: SetUp
+    basis: Basis
     verdicts: tuple[Verdict, ...]
     finished: bool
 
@@ -174,7 +174,7 @@ class Journal:
 # --- beginnings -----------------------------------------------------------------------------------
 
 
-def begin(path: Path, set_up: SetUp, *, resume: bool = False) -> Journal:
+def begin(path: Path, basis: Basis, *, resume: bool = False) -> Journal:
     """Open the journal of a new run, or with `resume` of the one in the file, which goes on.
 
     A finished run in the file gives way to a new one.
@@ -188,12 +188,12 @@ def begin(path: Path, set_up: SetUp, *, resume: bool = False) -> Journal:
         raise UserError(f"{str(path)!a} is no path; give that of a file")
     if not resume:
         with _writing(path):
-            _create(path, set_up)
+            _create(path, basis)
     elif not path.exists():
         raise UserError(f"there is no run in {path} to resume; leave out --resume")
     base = _opened(path)
     try:
-        _refuse_others(path, _set_up_of(path, base), set_up)
+        _refuse_others(path, _basis_of(path, base), basis)
         with _writing(path):
             base.execute("PRAGMA journal_mode = WAL")
         return Journal(path, base)
@@ -202,7 +202,7 @@ def begin(path: Path, set_up: SetUp, *, resume: bool = False) -> Journal:
         raise
 
 
-def _create(path: Path, set_up: SetUp) -> None:
+def _create(path: Path, basis: Basis) -> None:
     """Put a file without a step in its place, whole or not at all; a finished run gives way."""
     if path.exists() and path.stat().st_size:
         _refuse_unfinished(path)
@@ -212,7 +212,7 @@ def _create(path: Path, set_up: SetUp) -> None:
         try:
             text = f"PRAGMA application_id = {SCHEMA}; PRAGMA user_version = {VERSION};{_TABLES}"
             base.executescript(f"BEGIN;{text}COMMIT;")
-            base.execute("INSERT INTO run VALUES (?, ?)", (_SET_UP, _text(set_up)))
+            base.execute("INSERT INTO run VALUES (?, ?)", (_BASIS, _text(basis)))
         finally:
             base.close()
         new.replace(path)
@@ -221,7 +221,7 @@ def _create(path: Path, set_up: SetUp) -> None:
 def _refuse_unfinished(path: Path) -> None:
     base = _opened(path)
     try:
-        _set_up_of(path, base)
+        _basis_of(path, base)
         finished = _is_finished(base)
     finally:
         base.close()
@@ -230,8 +230,8 @@ def _refuse_unfinished(path: Path) -> None:
         raise UserError(f"{path} holds a run that is not finished; {hint}")
 
 
-def _refuse_others(path: Path, known: SetUp, wanted: SetUp) -> None:
-    for field in fields(SetUp):
+def _refuse_others(path: Path, known: Basis, wanted: Basis) -> None:
+    for field in fields(Basis):
         there, here = getattr(known, field.name), getattr(wanted, field.name)
         if there != here:
             what = _NO_OPTIONS.get(field.name, f"has {field.name} {there!r}, this one {here!r}")
@@ -252,12 +252,12 @@ def read(path: Path) -> Run:
         raise UserError(f"there is no file {str(path)!a}; give a results file")
     base = _opened(path)
     try:
-        set_up = _set_up_of(path, base)
+        basis = _basis_of(path, base)
         with _reading(path):
             names = dict(base.execute("SELECT number, name FROM rule"))
             rows = base.execute("SELECT verdict, rules FROM step ORDER BY number")
             verdicts = tuple(_verdict(names, *row) for row in rows)
-            return Run(set_up, verdicts, _is_finished(base))
+            return Run(basis, verdicts, _is_finished(base))
     finally:
         base.close()
 
@@ -294,12 +294,12 @@ def _check(path: Path, base: sqlite3.Connection) -> None:
         raise sqlite3.DatabaseError(health)
 
 
-def _set_up_of(path: Path, base: sqlite3.Connection) -> SetUp:
+def _basis_of(path: Path, base: sqlite3.Connection) -> Basis:
     with _reading(path):
-        row = base.execute("SELECT value FROM run WHERE name = ?", (_SET_UP,)).fetchone()
+        row = base.execute("SELECT value FROM run WHERE name = ?", (_BASIS,)).fetchone()
         if row is None:
             raise UserError(f"{path} holds no run yet; remove it")
-        return msgspec.json.decode(row[0], type=SetUp)
+        return msgspec.json.decode(row[0], type=Basis)
 
 
 def _is_finished(base: sqlite3.Connection) -> bool:

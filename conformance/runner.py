@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
@@ -14,11 +15,21 @@ from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
-from ecatspec.conformance.results import SetUp
+from ecatspec.conformance.results import Basis
 from ecatspec.conformance.session import Deviation, Session
 from ecatspec.conformance.shrink import shortest
 from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
-from ecatspec.conformance.verdict import BLAMING, REASON, Outcome, Result, TraceLine, Verdict
+from ecatspec.conformance.verdict import (
+    BLAMING,
+    MAIN_DEVICE,
+    REASON,
+    SUB_DEVICE,
+    Outcome,
+    Result,
+    SetUp,
+    TraceLine,
+    Verdict,
+)
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
     Case,
@@ -427,6 +438,8 @@ class Runner:
             ),
             f"{self.session.time / 1000:.1f} ms",
             mismatch.signature,
+            differing=mismatch.differing,
+            blamed=tuple(map(str, mismatch.rules)),
         )
 
     def _death(self, case: Case, death: Exception) -> Verdict:
@@ -446,9 +459,10 @@ class Runner:
             str(death),
             clauses,
             (),
-            (*trace, TraceLine(self.session.time, "SubDevice", str(death))),
+            (*trace, TraceLine(self.session.time, SUB_DEVICE, str(death))),
             f"{self.session.time / 1000:.1f} ms",
             f"{kind} {' '.join(sorted(clauses))} {_kind(death)}",
+            blamed=tuple(map(str, inner)),
         )
 
     def _inconclusive(self, case: Case, states: frozenset[str]) -> Verdict:
@@ -463,7 +477,7 @@ class _Found(Exception):  # noqa: N818
 
 
 def _last_stimulus(trace: tuple[TraceLine, ...]) -> str:
-    return next((line.what for line in reversed(trace) if line.who == "MainDevice"), "power-on")
+    return next((line.what for line in reversed(trace) if line.who == MAIN_DEVICE), "power-on")
 
 
 def _kind(death: Exception) -> str:
@@ -492,7 +506,7 @@ def run_device(
     only: tuple[str, ...] = (),
     hang_timeout: float = HANG_TIMEOUT,
     replay: str = "",
-    keep: Callable[[SetUp], Journal | None] | None = None,
+    keep: Callable[[Basis], Journal | None] | None = None,
     crew: Crew | None = None,
     progress: Progress | None = None,
 ) -> Result:
@@ -507,6 +521,7 @@ def run_device(
 
     """
     began = time.monotonic()
+    started = datetime.now(UTC).isoformat(timespec="seconds")
     protocol = load(device, mailbox)
     for layer in only:
         if layer not in protocol.machines:
@@ -523,13 +538,14 @@ def run_device(
         runner.crew, runner.only = crew, frozenset(only)
         if keep is not None:
             told = description.to_json()
-            set_up = SetUp(protocol.name, protocol.digest, dut, told, depth, seed, mailbox, only)
-            journal = keep(set_up)
+            basis = Basis(protocol.name, protocol.digest, dut, told, depth, seed, mailbox, only)
+            journal = keep(basis)
             if journal is not None:
                 runner.journal = stack.enter_context(journal)
                 began -= journal.seconds
         guarantees, interrupted = _run_all(runner, depth, seed, replay, progress)
-        result = _result(runner, guarantees, began, interrupted=interrupted)
+        set_up = SetUp(device, dut, depth, seed, mailbox, started)
+        result = _result(runner, guarantees, began, set_up, interrupted=interrupted)
         if runner.journal is not None and not result.interrupted:
             runner.journal.finish()
     return result
@@ -559,7 +575,9 @@ def _run_all(
     return guarantees, False
 
 
-def _result(runner: Runner, guarantees: list[str], began: float, *, interrupted: bool) -> Result:
+def _result(
+    runner: Runner, guarantees: list[str], began: float, set_up: SetUp, *, interrupted: bool
+) -> Result:
     model, protocol = runner.model, runner.model.protocol
     rules = sum(len(machine.rules) for machine in protocol.machines.values())
     cited = {c for rule in runner.rules for c in rule_clauses(model, rule)}
@@ -582,6 +600,7 @@ def _result(runner: Runner, guarantees: list[str], began: float, *, interrupted:
         ),
         interrupted,
         tuple(guarantees),
+        set_up,
     )
 
 

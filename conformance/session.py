@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.conformance.adapter import raise_local, read_all
-from ecatspec.conformance.verdict import REASON, TraceLine
+from ecatspec.conformance.verdict import BEFALLEN, MAIN_DEVICE, REASON, SUB_DEVICE, WAITS, TraceLine
 from ecatspec.generators.case import (
     Happen,
     Hurry,
@@ -87,8 +87,8 @@ class Session:
     time: int = 0
     exchanges: int = 0
     attempt: Exchange | None = None
-    _told: list[tuple[int, str, str | Callable[[], str]]] = field(default_factory=list)
-    """When, by whom, and what was done or shown: in words only once somebody asks."""
+    _told: list[tuple[int, str, str | Callable[[], str], bytes]] = field(default_factory=list)
+    """When, by whom, and what was done or shown, in words only once somebody asks; and its bytes."""
     _counter: int = 0
     _shown: dict[str, int] = field(default_factory=dict)
     _shown_words: dict[str, str] = field(default_factory=dict)
@@ -110,14 +110,14 @@ class Session:
     def trace(self) -> list[TraceLine]:
         """What was done and shown, in words."""
         return [
-            TraceLine(time, who, what if isinstance(what, str) else what())
-            for time, who, what in self._told
+            TraceLine(time, who, what if isinstance(what, str) else what(), data)
+            for time, who, what, data in self._told
         ]
 
     @property
     def refusals(self) -> list[str]:
         """Why the device refused what it was asked."""
-        return [what for _, who, what in self._told if who == REASON and isinstance(what, str)]
+        return [what for _, who, what, _ in self._told if who == REASON and isinstance(what, str)]
 
     def forget_trace(self) -> None:
         """Begin with an empty trace."""
@@ -146,14 +146,14 @@ class Session:
         match stimulus:
             case WriteRegister():
                 address, data = register_bytes(self.model, stimulus)
-                self._say("MainDevice", partial(_writes, self.model, stimulus))
+                self._say(MAIN_DEVICE, partial(_writes, self.model, stimulus))
                 self._write(address, data)
             case WriteRegisters():
                 address, data = registers_bytes(self.model, stimulus)
-                self._say("MainDevice", partial(_writes, self.model, *stimulus.writes))
+                self._say(MAIN_DEVICE, partial(_writes, self.model, *stimulus.writes))
                 self._write(address, data)
             case ReadRegister(register=name):
-                self._say("MainDevice", f"reads {name.replace('_', ' ')}")
+                self._say(MAIN_DEVICE, f"reads {name.replace('_', ' ')}")
                 self._read_registers(name, demanded=True)
             case SendFrame():
                 self._send(stimulus)
@@ -175,13 +175,13 @@ class Session:
                     self.apply(writes)
             case WriteOutputs():
                 self._outputs = {**(self._outputs or {}), **stimulus.words}
-                self._say("MainDevice", partial(_outputs_words, self.model, stimulus.words))
+                self._say(MAIN_DEVICE, partial(_outputs_words, self.model, stimulus.words))
                 self._write_outputs()
             case StopOutputs():
                 self._outputs = None
-                self._say("MainDevice", "writes no process data any more")
+                self._say(MAIN_DEVICE, "writes no process data any more")
             case Wait():
-                self._say("MainDevice", f"waits {stimulus.microseconds / 1000:.1f} ms")
+                self._say(MAIN_DEVICE, f"{WAITS} {stimulus.microseconds / 1000:.1f} ms")
                 self._wait(stimulus.microseconds)
             case Hurry():
                 self._hurries = True
@@ -194,7 +194,7 @@ class Session:
 
     def _befall(self, stimulus: Happen) -> None:
         machine, _, event = stimulus.event.partition(".")
-        self._say("SubDevice", f"is befallen by {event.replace('_', ' ')}")
+        self._say(SUB_DEVICE, f"{BEFALLEN} {event.replace('_', ' ')}")
         raise_local(self.adapter, stimulus.event)
         self.oracle.happened(machine, event, self.time)
 
@@ -254,7 +254,7 @@ class Session:
         for name, words in self.oracle.words_in(data):
             if self._shown_words.get(name) != words:
                 self._shown_words[name] = words
-                self._say("SubDevice", f"shows {words}")
+                self._say(SUB_DEVICE, f"shows {words}")
 
     # --- mailbox ----------------------------------------------------------------------------------
 
@@ -264,7 +264,7 @@ class Session:
         data = frame_bytes(self.model, stimulus, self._counter)
         message = self.model.decode(data)
         if message is not None:
-            self._say("MainDevice", partial(_message, self.model, "sends", message))
+            self._say(MAIN_DEVICE, partial(_message, self.model, "sends", message), data)
         start, length = self._area(MAIN_OUT)
         # refused for longer than the request time, the oracle calls it a deviation
         limit = self.time + self.model.parameter("request_timeout")
@@ -286,7 +286,7 @@ class Session:
         register = self.model.protocol.registers[f"{MAIN_IN}_activation"]
         mask = field_mask(self.model.protocol, register.name, "repeat")
         raw = int.from_bytes(self.adapter.read(register.address, register.size)[1], "little")
-        self._say("MainDevice", "toggles the repeat bit")
+        self._say(MAIN_DEVICE, "toggles the repeat bit")
         self._write(register.address, (raw ^ mask).to_bytes(register.size, "little"))
 
     def _area(self, name: str) -> tuple[int, int]:
@@ -333,7 +333,8 @@ class Session:
             start, length = self._area(MAIN_IN)
             counter, data = self.adapter.read(start, length)
             message = self.model.decode(data) if counter else None
-            self._say("SubDevice", partial(_message, self.model, "answers", message))
+            said = data if message is None else data[: self.model.codec.length(message)]
+            self._say(SUB_DEVICE, partial(_message, self.model, "answers", message), said)
             self._observe(self._exchange(start, data, counter))
             if not counter:
                 return
@@ -394,7 +395,7 @@ class Session:
                 view.name: field_of(self.model.protocol, name, view.name, raw)
                 for view in self.model.views[name]
             }
-            self._say("SubDevice", partial(_shows, self.model, name, shown))
+            self._say(SUB_DEVICE, partial(_shows, self.model, name, shown))
 
     def _write(self, address: int, data: bytes) -> int:
         self.attempt = self._exchange(address, data, 1, write=True)
@@ -429,8 +430,8 @@ class Session:
             self.time += part
             self._write_outputs()
 
-    def _say(self, who: str, what: str | Callable[[], str]) -> None:
-        self._told.append((self.time, who, what))
+    def _say(self, who: str, what: str | Callable[[], str], data: bytes = b"") -> None:
+        self._told.append((self.time, who, what, data))
 
 
 def _writes(model: Model, *writes: WriteRegister) -> str:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
+from collections import Counter
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import Enum, StrEnum, auto
+from typing import Final
 
 
 class Outcome(StrEnum):
@@ -19,17 +22,42 @@ class Outcome(StrEnum):
 
 
 BLAMING = frozenset({Outcome.FAIL, Outcome.CRASH})
-REASON = "reason"
-"""Who speaks in a trace where it says why the device refused."""
+MAIN_DEVICE: Final = "MainDevice"
+SUB_DEVICE: Final = "SubDevice"
+REASON: Final = "reason"
+"""Who stands in a trace: the two, and why the device refused."""
+WAITS: Final = "waits"
+BEFALLEN: Final = "is befallen by"
+"""How words begin of which nothing goes over the bus."""
+
+
+class Way(Enum):
+    """Which way something goes in a sequence chart; DEATH: nothing comes any more."""
+
+    TO_DEVICE = auto()
+    FROM_DEVICE = auto()
+    NONE = auto()
+    DEATH = auto()
 
 
 @dataclass(frozen=True, slots=True)
 class TraceLine:
-    """One exchange in words: microseconds since the start, who acts, what was done."""
+    """One exchange in words: microseconds since the start, who acts, what was done.
+
+    Of a message also its bytes.
+    """
 
     time: int
     who: str
     what: str
+    data: bytes = b""
+
+    @property
+    def way(self) -> Way:
+        """Tell which way this goes."""
+        if self.what.startswith((WAITS, BEFALLEN)):
+            return Way.NONE
+        return {MAIN_DEVICE: Way.TO_DEVICE, SUB_DEVICE: Way.FROM_DEVICE}.get(self.who, Way.NONE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +81,17 @@ class Verdict:
     """The rules that the device surely went by."""
     replay: str = ""
     """What `--replay` takes to run the case again; empty: its name."""
+    differing: tuple[str, ...] = ()
+    """The fields of `observed` that are not as expected, or its layout."""
+    blamed: tuple[str, ...] = ()
+    """The rules by which the device should have gone where it was blamed."""
+
+    def ways(self) -> tuple[Way, ...]:
+        """Tell for each line of the trace which way it goes; a crash ends with the death."""
+        found = [line.way for line in self.trace]
+        if found and self.outcome is Outcome.CRASH:
+            found[-1] = Way.DEATH
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +100,25 @@ class Finding:
 
     verdict: Verdict
     also: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SetUp:
+    """How a run was asked for: enough to ask for it again, and when that was."""
+
+    device: str
+    dut: str
+    depth: str
+    seed: int
+    mailbox: str
+    began: str
+    """Date and time, as ISO 8601 writes them."""
+
+    def command(self, replay: str) -> str:
+        """Give the command line that runs one case again."""
+        words = ["ecatspec", "run", self.device, "--dut", self.dut]
+        words += ["--mailbox", self.mailbox] if self.mailbox else []
+        return shlex.join((*words, "--replay", replay))
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +138,8 @@ class Result:
     interrupted: bool = False
     guarantees: tuple[str, ...] = ()
     """What the complete suites are worth for this device, one line for each."""
+    set_up: SetUp | None = None
+    """None: it was no run, and no case of it can be run again."""
 
     def count(self, outcome: Outcome) -> int:
         """Count the verdicts of one outcome."""
@@ -89,6 +149,15 @@ class Result:
     def conforms(self) -> bool:
         """Tell whether nothing blames the device."""
         return not any(verdict.outcome in BLAMING for verdict in self.verdicts)
+
+    def unjudged(self) -> tuple[tuple[Outcome, str, int], ...]:
+        """Give why cases say nothing about the device, with their number."""
+        groups = Counter(
+            (verdict.outcome, verdict.reason or verdict.title)
+            for verdict in self.verdicts
+            if verdict.outcome in {Outcome.SKIPPED, Outcome.INCONCLUSIVE}
+        )
+        return tuple((*group, count) for group, count in sorted(groups.items()))
 
     def findings(self) -> tuple[Finding, ...]:
         """Group what is no pass by cause, most severe first, shortest trace for each."""

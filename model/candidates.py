@@ -123,6 +123,8 @@ class Mismatch:
     signature: str
     reasons: tuple[str, ...] = ()
     """Why the device had to refuse, where it had to."""
+    differing: tuple[str, ...] = ()
+    """The fields that are not as expected, of the alternative with the fewest; or the frame."""
 
 
 _FASTER = 10

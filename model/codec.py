@@ -148,6 +148,10 @@ class Codec:
                 offset -= width  # the layout inside begins where the body does
         return found
 
+    def length(self, message: Message) -> int:
+        """Give the bytes of a decoded message; what followed in its area is not counted."""
+        return max(offset + width for offset, width in self.places(message).values()) // 8
+
     def size(self, frame: str) -> int:
         """Give the bytes of a layout of fixed widths."""
         return sum(part.width or 0 for part in self._parts[frame]) // 8

@@ -39,6 +39,7 @@ from ecatspec.model.shown import (
     decided,
     definitely,
     enabled,
+    fields_in,
     machines_of,
     mailbox_area,
     odd_words,
@@ -50,13 +51,13 @@ from ecatspec.model.shown import (
 )
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.unknowns import any_states, is_open
-from ecatspec.model.values import UNKNOWN, Value, is_any
+from ecatspec.model.values import UNKNOWN, Value, admits, is_any
 from ecatspec.model.words import fields_words, message_words, reason_words, register_words
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from collections.abc import Set as AbstractSet
 
     from ecatspec.model.codec import Message
@@ -589,23 +590,22 @@ class Oracle:
         if after:
             self.candidates = _kept(before, after)
             return None
-        expected = {
-            register_words(
-                self.model, register.name, shown_register(self.model, register, candidate.state)
-            ): None
-            for candidate in before
+        allowed = [shown_register(self.model, register, candidate.state) for candidate in before]
+        expected = {register_words(self.model, register.name, each): None for each in allowed}
+        fields: dict[str, Value] = {
+            v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views
         }
-        observed = register_words(
-            self.model,
-            register.name,
-            {v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views},
-        )
+        observed = register_words(self.model, register.name, fields)
         rules = _last(before, machines_of(self.model, register.name))
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
         found = self._mismatch(
             exchange, register.name, tuple(expected), observed, rules, register.clauses
         )
-        return replace(found, reasons=self._reasons(refused) if refused else ())
+        return replace(
+            found,
+            reasons=self._reasons(refused) if refused else (),
+            differing=_fewest(_differing(each, fields) for each in allowed),
+        )
 
     def _read_inputs(self, exchange: Exchange) -> Mismatch | None:
         if not self._concerned(DATA_IN, exchange):
@@ -650,9 +650,19 @@ class Oracle:
         rules = _last(
             wrong, {machine for name in words for machine in machines_of(self.model, name)}
         )
-        return self._mismatch(
+        found = self._mismatch(
             exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
         )
+        shown = dict(fields_in(self.model, self.example(), exchange.data))
+        differs = (
+            tuple(
+                field
+                for name in words
+                for field in _differing(shown_fields(self.model, each.state, name), shown[name])
+            )
+            for each in wrong
+        )
+        return replace(found, differing=_fewest(differs))
 
     def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
@@ -722,7 +732,7 @@ class Oracle:
         for state, output in due:
             if message is not None:
                 wrong += self._clauses_of_fields(state, output, message)
-        return self._mismatch(
+        found = self._mismatch(
             exchange,
             "reply",
             self._expected_replies(before),
@@ -730,6 +740,10 @@ class Oracle:
             tuple(dict.fromkeys(output.rule for _, output in due)) or _last(before, {MAILBOX}),
             tuple(wrong),
         )
+        if message is None:
+            return found
+        fields = (differing(self.model, state, output, message) for state, output in due)
+        return replace(found, differing=_fewest(fields) or (message.frame,))
 
     def _clauses_of_fields(self, state: State, output: Output, message: Message) -> Iterator[str]:
         """Give the clauses of the layouts and choices that fields of a reply break."""
@@ -851,6 +865,16 @@ class Oracle:
 def _kept(before: Explanations, after: Explanations) -> Explanations:
     """Give `after`; where an observation changed nothing, `before`, of which more is known."""
     return before if before.keys() == after.keys() else after
+
+
+def _differing(expected: Mapping[str, Value], observed: Mapping[str, Value]) -> tuple[str, ...]:
+    """Give the fields that are not as expected."""
+    return tuple(name for name, value in expected.items() if not admits(value, observed[name]))
+
+
+def _fewest(differing: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    """Give the differing fields of the alternative that comes nearest."""
+    return min(filter(None, differing), key=len, default=())
 
 
 def _last(candidates: Explanations, machines: AbstractSet[str]) -> tuple[RuleName, ...]:

@@ -14,6 +14,8 @@ from ecatspec.model.values import Pattern, Value, admits, is_any
 from ecatspec.model.words import register_words
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from ecatspec.model.compiled import Model
     from ecatspec.model.state import State
     from ecatspec.spec.language.ir import Register, Word
@@ -123,18 +125,21 @@ def layout(model: Model, state: State, name: str) -> tuple[Mapped, ...] | None:
     return model.image.layout(Environment(state.slots, state.known(), {}), name)
 
 
-@once
-def words_in(model: Model, state: State, image: bytes) -> tuple[tuple[str, str], ...]:
-    """Give the words that inputs hold, by name and in words."""
-    found = []
+def fields_in(model: Model, state: State, image: bytes) -> Iterator[tuple[str, dict[str, Value]]]:
+    """Yield the words that inputs hold, by name, with the fields that show something."""
     for mapped in layout(model, state, INPUTS) or ():
         word = None if mapped.key is None else model.words.get(mapped.key)
         raw = taken(image, mapped)
         if word is not None and raw is not None:
             now = fields_with_before(word.fields, raw, None)
-            shown = {view.name: now[view.name] for view in model.views[word.name]}
-            found.append((word.name, register_words(model, word.name, shown)))
-    return tuple(found)
+            yield word.name, {view.name: now[view.name] for view in model.views[word.name]}
+
+
+@once
+def words_in(model: Model, state: State, image: bytes) -> tuple[tuple[str, str], ...]:
+    """Give the words that inputs hold, by name and in words."""
+    found = fields_in(model, state, image)
+    return tuple((name, register_words(model, name, fields)) for name, fields in found)
 
 
 @once

@@ -31,6 +31,14 @@ _EXCESS = "excess"
 def typed_words(model: Model, kind: Type, value: Value) -> str:
     """Say a value of a type: hexadecimal as wide as the type, with its name where it has one."""
     match value:
+        case Pattern(lengths=(least, most), content=content, mask=mask):
+            count = f"{least} to {most} bytes" if least < most else f"{most} bytes"
+            if content is None:
+                return f"any {count}"
+            start = content[:most]
+            sure = None if mask is None else mask[: len(start)].ljust(len(start), b"\0")
+            words = bytes_words(start, sure)
+            return words if least == len(start) else f"{words} of {count}"
         case Pattern(ranges=None):
             return "any"
         case Pattern(ranges=ranges, excluded=excluded):

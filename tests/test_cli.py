@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from ecatspec.conformance.results import Journal, SetUp
+    from ecatspec.conformance.results import Journal, Basis
     from ecatspec.conformance.steps import Crew
     from ecatspec.generators.case import Limits
     from ecatspec.generators.vectors import Test
@@ -80,7 +80,7 @@ class Played:
         replay: str,
         hang_timeout: float,
         progress: Callable[[int, int, str], None] | None,
-        keep: Callable[[SetUp], Journal | None] | None = None,
+        keep: Callable[[Basis], Journal | None] | None = None,
         crew: Crew | None = None,
     ) -> Result:
         self.asked = {

@@ -12,7 +12,7 @@ from short import FAULT, SMALL, shorten
 
 from ecatspec.conformance import cli, record
 from ecatspec.conformance.compare import compare, headline
-from ecatspec.conformance.results import Run, SetUp
+from ecatspec.conformance.results import Run, Basis
 from ecatspec.conformance.verdict import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Call = Callable[..., tuple[int, str, str]]
 
-SET_UP = SetUp("mine", "00", "exec:x", {"name": "a board"}, "quick", 0, "", ())
+BASIS = Basis("mine", "00", "exec:x", {"name": "a board"}, "quick", 0, "", ())
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def run_of(**outcomes: str) -> Run:
         clauses = (cause,) if cause else ()
         verdict = Verdict(case, Outcome(outcome), case, clauses=clauses, signature=cause)
         verdicts.append(verdict)
-    return Run(SET_UP, tuple(verdicts), finished=True)
+    return Run(BASIS, tuple(verdicts), finished=True)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_what_only_one_run_tried_says_nothing() -> None:
 
 def test_runs_of_two_kinds_are_told_apart() -> None:
     first = run_of(a="pass")
-    other = replace(SET_UP, seed=7, digest="1" * 64, only=("al",), dut="exec:y")
+    other = replace(BASIS, seed=7, digest="1" * 64, only=("al",), dut="exec:y")
     second = Run(other, first.verdicts, finished=False)
     assert compare(first, second).notes() == (
         "other texts: 00 and 111111111111",
@@ -142,5 +142,5 @@ def test_the_command(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_case_that_stands_twice_counts_at_its_worst() -> None:
-    twice = Run(SET_UP, (*run_of(a="fail A").verdicts, *run_of(a="pass").verdicts), finished=True)
+    twice = Run(BASIS, (*run_of(a="fail A").verdicts, *run_of(a="pass").verdicts), finished=True)
     assert compare(run_of(a="pass"), twice).worse

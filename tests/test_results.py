@@ -17,14 +17,14 @@ from short import DRIVE, FAULT, SMALL, same, shorten
 
 from ecatspec.conformance import cli, results
 from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.results import SetUp, begin, read
+from ecatspec.conformance.results import Basis, begin, read
 from ecatspec.conformance.runner import run_device
 from ecatspec.conformance.steps import Judged, Learned
 from ecatspec.conformance.verdict import Outcome, TraceLine, Verdict
 
 Call = Callable[..., tuple[int, str, str]]
 
-SET_UP = SetUp("mine", "00", "exec:x", {"name": "a board"}, "quick", 0, "", ())
+BASIS = Basis("mine", "00", "exec:x", {"name": "a board"}, "quick", 0, "", ())
 JUDGED = (
     Judged("one", Verdict("one", Outcome.PASS, "first", rules=("al.a", "al.b")), Learned()),
     Judged(
@@ -67,7 +67,7 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 
 def kept(path: Path) -> None:
     """Keep a finished run."""
-    with begin(path, SET_UP) as journal:
+    with begin(path, BASIS) as journal:
         for judged in JUDGED:
             journal.keep(judged)
         journal.finish()
@@ -80,7 +80,7 @@ def test_a_run_comes_back_as_it_was(tmp_path: Path) -> None:
     file = tmp_path / "run"
     kept(file)
     run = read(file)
-    assert run.set_up == SET_UP
+    assert run.basis == BASIS
     assert run.verdicts == tuple(judged.verdict for judged in JUDGED)
     assert run.finished
     assert list(tmp_path.iterdir()) == [file], "one file, without companions"
@@ -91,7 +91,7 @@ def test_a_run_comes_back_as_it_was(tmp_path: Path) -> None:
 def test_a_resumed_run_gets_what_was_judged(tmp_path: Path) -> None:
     file = tmp_path / "run"
     kept(file)
-    with begin(file, SET_UP, resume=True) as journal:
+    with begin(file, BASIS, resume=True) as journal:
         first, second = (journal.again(judged.name) for judged in JUDGED)
         assert journal.again("three") is None
         third = Judged(
@@ -126,7 +126,7 @@ def test_a_run_is_resumed_as_it_was_begun(
     file = tmp_path / "run"
     kept(file)
     with pytest.raises(UserError) as caught:
-        begin(file, replace(SET_UP, **changed), resume=True)  # type: ignore[arg-type]
+        begin(file, replace(BASIS, **changed), resume=True)  # type: ignore[arg-type]
     assert words in str(caught.value)
     assert read(file).finished
 
@@ -134,7 +134,7 @@ def test_a_run_is_resumed_as_it_was_begun(
 def test_a_suite_that_goes_on_otherwise_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "run"
     kept(file)
-    with begin(file, SET_UP, resume=True) as journal, pytest.raises(UserError) as caught:
+    with begin(file, BASIS, resume=True) as journal, pytest.raises(UserError) as caught:
         journal.again("another")
     assert "goes on with 'one' where this run has 'another'" in str(caught.value)
 
@@ -142,23 +142,23 @@ def test_a_suite_that_goes_on_otherwise_is_refused(tmp_path: Path) -> None:
 def test_a_new_run_takes_the_place_of_a_finished_one_only(tmp_path: Path) -> None:
     file = tmp_path / "run"
     kept(file)
-    with begin(file, SET_UP) as journal:
+    with begin(file, BASIS) as journal:
         journal.keep(JUDGED[0])
     assert len(read(file).verdicts) == 1
     with pytest.raises(UserError, match="not finished; go on with it by --resume"):
-        begin(file, SET_UP)
+        begin(file, BASIS)
     other = tmp_path / "notes"
     other.write_text("what I did today", encoding="utf-8")
     with pytest.raises(UserError, match="is no results file"):
-        begin(other, SET_UP)
+        begin(other, BASIS)
     assert other.read_text(encoding="utf-8") == "what I did today"
 
 
 def test_one_run_writes_a_file_at_a_time(tmp_path: Path) -> None:
     file = tmp_path / "run"
-    with begin(file, SET_UP) as journal:
+    with begin(file, BASIS) as journal:
         journal.keep(JUDGED[0])
-        for use in (read, partial(begin, set_up=SET_UP, resume=True)):
+        for use in (read, partial(begin, basis=BASIS, resume=True)):
             code = f"import sys; sys.path = {sys.path}\n" + _OTHER.format(use=_USES[use is read])
             done = subprocess.run(
                 [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False
@@ -352,7 +352,7 @@ def test_twenty_deaths_lose_nothing_that_was_judged(tmp_path: Path) -> None:
 
 def test_whatever_a_power_cut_leaves_is_a_run_as_far_as_it_goes(tmp_path: Path) -> None:
     file = tmp_path / "run"
-    with begin(file, SET_UP) as journal:
+    with begin(file, BASIS) as journal:
         for number in range(30):
             case = f"case {number}"
             journal.keep(Judged(case, Verdict(case, Outcome.PASS, case), Learned()))
@@ -378,7 +378,7 @@ def test_what_is_judged_is_forced_onto_the_disk(
 ) -> None:
     clock = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
-    with begin(tmp_path / "run", SET_UP) as journal:
+    with begin(tmp_path / "run", BASIS) as journal:
         modes = []
         for clock[0] in (0.1, 0.15, 0.3, 0.4, 0.51):
             journal.keep(JUDGED[0])
@@ -387,7 +387,7 @@ def test_what_is_judged_is_forced_onto_the_disk(
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
-    with begin(tmp_path / "run", SET_UP) as journal:
+    with begin(tmp_path / "run", BASIS) as journal:
         journal._base.execute("PRAGMA max_page_count = 40")  # noqa: SLF001
         case = "case" * 1000
         long = Judged(case, Verdict(case, Outcome.PASS, case), Learned())

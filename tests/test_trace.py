@@ -18,7 +18,7 @@ from ecatspec.conformance.exercise import Touch
 from ecatspec.conformance.files import write_whole
 from ecatspec.conformance.record import CaseRecord, Record
 from ecatspec.conformance.requirements import reqif
-from ecatspec.conformance.results import SetUp
+from ecatspec.conformance.results import Basis
 from ecatspec.conformance.steps import Judged, Learned
 from ecatspec.conformance.trace import Standing, Trace, clause_sheet, total_sheet, trace_device
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
@@ -187,8 +187,8 @@ def test_totals_count_each_claim_once(traced: Trace) -> None:
 def keep(protocol: Protocol, rule: str, only: tuple[str, ...] = ()) -> Path:
     """Keep a run of one case, which went by one rule."""
     board = {"name": "a board"}
-    set_up = SetUp(protocol.name, protocol.digest, "exec:x", board, "quick", 0, "", only)
-    with record.begin(set_up) as journal:
+    basis = Basis(protocol.name, protocol.digest, "exec:x", board, "quick", 0, "", only)
+    with record.begin(basis) as journal:
         case = next(iter(ran(Model(protocol), rule, Outcome.WARNING).cases))
         verdict = Verdict(case, Outcome.WARNING, "a case", rules=(rule,))
         journal.keep(Judged(case, verdict, Learned()))

@@ -11,7 +11,7 @@ import math
 import os
 import sys
 import traceback
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import TextIOWrapper
 from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ecatspec.conformance.devices import Sheet
-    from ecatspec.conformance.results import Journal, Basis
+    from ecatspec.conformance.results import Basis, Journal
     from ecatspec.conformance.trace import Trace
     from ecatspec.conformance.verdict import Result
     from ecatspec.spec.language.ir import Protocol
@@ -116,10 +116,29 @@ def cli(context: click.Context) -> int:
     return CONFORMS
 
 
+_FILES: Final = {
+    "html": "Write one page for people, which needs nothing else.",
+    "junit": "Write JUnit XML for build servers, one test for each clause.",
+}
+"""Reports that are written to a file, and the help of their options."""
+
+
+def _reports(command: Callable[..., int]) -> Callable[..., int]:
+    """Add the options of all reports to a command."""
+    options = (
+        click.option("--json", "as_json", is_flag=True, help="Give the report as JSON."),
+        *(click.option(f"--{form}", metavar="FILE", help=said) for form, said in _FILES.items()),
+        click.option("--github", is_flag=True, help="Give findings as annotations of GitHub too."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 @cli.command(epilog=_example("run"))
 @click.argument("device")
 @click.option("--dut", default="model", show_default=True, help="How to reach the device.")
-@click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
+@_reports
 @click.option(
     "--depth",
     type=click.Choice(DEPTHS),
@@ -154,7 +173,6 @@ def run(
     *,
     device: str,
     dut: str,
-    as_json: bool,
     depth: str,
     seed: int,
     mailbox: str,
@@ -165,6 +183,7 @@ def run(
     workers: int,
     cluster: str,
     hang_timeout: float,
+    **reports: Any,  # noqa: ANN401  the options of `_reports`
 ) -> int:
     """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
 
@@ -187,17 +206,20 @@ def run(
     }
     if not replay:
         options["keep"] = _keeper(results, resume=resume)
-    if workers == 1 and not cluster:
-        result = _run(device, dut, options)
-        return _report((result,), protocol, as_json=as_json)
-    if replay or (workers > 1 and cluster):
+    alone = workers == 1 and not cluster
+    if not alone and (replay or (workers > 1 and cluster)):
         _refuse("--workers, --cluster and --replay exclude each other; give one of them")
-    from ecatspec.conformance.campaign import Job, crew
+    with _written(reports) as write:
+        if alone:
+            result = _run(device, dut, options)
+        else:
+            from ecatspec.conformance.campaign import Job, crew
 
-    job = Job(device, protocol.digest, dut, mailbox, hang_timeout)
-    with _set_up("run"), crew(job, workers, cluster) as hands:
-        result = _run(device, dut, {**options, "crew": hands})
-    return _report((result,), protocol, as_json=as_json)
+            job = Job(device, protocol.digest, dut, mailbox, hang_timeout)
+            with _set_up("run"), crew(job, workers, cluster) as hands:
+                result = _run(device, dut, {**options, "crew": hands})
+        write((result,), protocol)
+    return _report((result,), protocol, reports)
 
 
 @cli.command(epilog=_example("adapters"))
@@ -251,8 +273,8 @@ def compare(*, first: str, second: str, as_json: bool) -> int:
 @cli.command(epilog=_example("monitor"))
 @click.argument("file")
 @click.option("--device", default="standard", show_default=True, help="Name or path of a text.")
-@click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
-def monitor(*, file: str, device: str, as_json: bool) -> int:
+@_reports
+def monitor(*, file: str, device: str, **reports: Any) -> int:  # noqa: ANN401  as for run
     """Judge FILE, a capture (pcap or pcapng) of real traffic, one report for each SubDevice."""
     from pathlib import Path
 
@@ -265,59 +287,43 @@ def monitor(*, file: str, device: str, as_json: bool) -> int:
     from ecatspec.conformance.monitor import monitor_file
 
     try:
-        with _progress() as progress:
-            results = monitor_file(Path(file), device, progress)
+        with _written(reports) as write:
+            with _progress() as progress:
+                results = monitor_file(Path(file), device, progress)
+            write(results, protocol)
     except CaptureError as error:
         _refuse(str(error))
     # A capture that breaks off was judged as far as it goes; its note starts with its path.
     for note in dict.fromkeys(note for result in results for note in result.notes):
         if note.startswith(f"{Path(file)}"):
             _warn(f"ecatspec: warning: {note}")
-    return _report(results, protocol, as_json=as_json)
+    return _report(results, protocol, reports)
 
 
 @cli.command(epilog=_example("check"))
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
-@click.option("--json", "as_json", is_flag=True, help="Give the diagnostics as JSON.")
-def check(*, files: tuple[str, ...], as_json: bool) -> int:
+@click.option("--json", "form", flag_value="json", help="Give the diagnostics as JSON.")
+@click.option("--sarif", "form", flag_value="sarif", help="Give them as SARIF 2.1.0.")
+@click.option("--github", "form", flag_value="github", help="Give them as annotations of GitHub.")
+def check(*, files: tuple[str, ...], form: str | None) -> int:
     """Give the diagnostics of texts: file:line:column: ECSnnn what is wrong; what to do."""
+    from ecatspec.conformance.checked import CHECKS, Checked
     from ecatspec.conformance.devices import UserError, load
 
-    status = CONFORMS
-    entries: list[dict[str, object]] = []
+    checked = []
     for file in files:
-        entry: dict[str, object] = {"file": file, "ok": False, "diagnostics": []}
-        entries.append(entry)
-        lines: list[str] = []
         try:
             protocol = load(file)
         except SpecError as error:
-            status = WRONG_INPUT
-            lines = [str(diagnostic) for diagnostic in error.diagnostics]
-            entry["diagnostics"] = [
-                {
-                    "code": diagnostic.code.name,
-                    "file": diagnostic.at.file,
-                    "line": diagnostic.at.line,
-                    "column": diagnostic.at.column,
-                    "message": diagnostic.message,
-                    "remedy": diagnostic.remedy,
-                }
-                for diagnostic in error.diagnostics
-            ]
+            checked.append(Checked(file, error.diagnostics))
         except UserError as error:
-            status = WRONG_INPUT
-            entry["error"] = str(error)
+            checked.append(Checked(file, error=str(error)))
             _warn(f"ecatspec: {error}")
         else:
             rules = sum(len(machine.rules) for machine in protocol.machines.values())
-            entry |= {"ok": True, "clauses": len(protocol.clauses), "rules": rules}
-            lines = [f"{file}: ok, {len(protocol.clauses)} clauses, {rules} rules"]
-        if not as_json:
-            _print("".join(f"{line}\n" for line in lines))
-    if as_json:
-        _print_json("ecatspec.check", {"files": entries})
-    return status
+            checked.append(Checked(file, clauses=len(protocol.clauses), rules=rules))
+    _print(CHECKS[form or "text"](checked))
+    return CONFORMS if all(each.sound for each in checked) else WRONG_INPUT
 
 
 @cli.command(epilog=_example("show"))
@@ -658,7 +664,7 @@ def _way(choice: str) -> tuple[str, str]:
 @cli.command(epilog=_example("replay"))
 @click.argument("file")
 @click.option("--dut", default="model", show_default=True, help="How to reach the device.")
-@click.option("--json", "as_json", is_flag=True, help="Give the report as JSON.")
+@_reports
 @click.option(
     "--hang-timeout",
     type=float,
@@ -666,7 +672,7 @@ def _way(choice: str) -> tuple[str, str]:
     metavar="SECONDS",
     help="Without an answer for so long the device counts as hung.",
 )
-def replay(*, file: str, dut: str, as_json: bool, hang_timeout: float) -> int:
+def replay(*, file: str, dut: str, hang_timeout: float, **reports: Any) -> int:  # noqa: ANN401
     """Play the test vectors of FILE (`export --format json` made it) on a device.
 
     The verdicts are those of `run`. The device under test is named as there.
@@ -675,9 +681,11 @@ def replay(*, file: str, dut: str, as_json: bool, hang_timeout: float) -> int:
 
     from ecatspec.conformance.vectors.command import replay as play
 
-    with _set_up("replay"), _progress() as progress:
-        result, protocol = play(Path(file), dut, hang_timeout=hang_timeout, progress=progress)
-    return _report((result,), protocol, as_json=as_json)
+    with _written(reports) as write:
+        with _set_up("replay"), _progress() as progress:
+            result, protocol = play(Path(file), dut, hang_timeout=hang_timeout, progress=progress)
+        write((result,), protocol)
+    return _report((result,), protocol, reports)
 
 
 @cli.group(epilog=_example("vectors"))
@@ -803,12 +811,40 @@ def _set_up(command: str) -> Iterator[None]:
         _refuse(said if ";" in said else f"{said}; {hint}")
 
 
-def _report(results: Sequence[Result], protocol: Protocol, *, as_json: bool) -> int:
+@contextmanager
+def _written(options: Mapping[str, Any]) -> Iterator[Callable[[Sequence[Result], Protocol], None]]:
+    """Give what writes the reports that go to files; a bad place is said before anything runs."""
+    from ecatspec.conformance.reports import REPORTS
+
+    if options["github"] and options["as_json"]:
+        _refuse("--github and --json both speak on standard output; give one of them")
+    with ExitStack() as stack:
+        files = {
+            form: stack.enter_context(_output(options[form], text=True))
+            for form in _FILES
+            if options[form] is not None
+        }
+
+        def write(results: Sequence[Result], protocol: Protocol) -> None:
+            for form, file in files.items():
+                file.write(REPORTS[form](results, protocol).encode(errors="backslashreplace"))
+
+        yield write
+
+
+def _report(results: Sequence[Result], protocol: Protocol, options: Mapping[str, Any]) -> int:
     """Print the results and give the exit status that they deserve."""
     from ecatspec.conformance.reports import REPORTS, judged
     from ecatspec.conformance.verdict import Outcome
 
-    _print(REPORTS["json" if as_json else "text"](results, protocol))
+    said = REPORTS["json" if options["as_json"] else "text"](results, protocol)
+    if not options["as_json"] and sys.stdout is not None and sys.stdout.isatty():
+        from ecatspec.conformance.colours import coloured
+
+        said = coloured(said)
+    _print(said)
+    if options["github"]:
+        _print(REPORTS["github"](results, protocol))
     if any(result.interrupted for result in results):
         return INTERRUPTED
     if not all(result.conforms for result in results):
@@ -927,9 +963,16 @@ def _progress() -> Iterator[Progress | None]:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}", markup=False))
+    left, what = TimeRemainingColumn(), TextColumn("{task.description}", markup=False)
+    columns = (BarColumn(), MofNCompleteColumn(), left, what)
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=None)
 

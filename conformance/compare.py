@@ -11,7 +11,7 @@ from ecatspec.conformance.verdict import Outcome
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ecatspec.conformance.results import Run, Basis
+    from ecatspec.conformance.results import Basis, Run
     from ecatspec.conformance.verdict import Verdict
 
 _WORST_FIRST: Final = (

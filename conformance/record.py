@@ -16,7 +16,7 @@ from ecatspec.conformance.devices import UserError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from ecatspec.conformance.results import Journal, Basis
+    from ecatspec.conformance.results import Basis, Journal
     from ecatspec.conformance.verdict import Outcome, Verdict
     from ecatspec.spec.language.ir import Protocol
 

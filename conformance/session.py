@@ -88,7 +88,7 @@ class Session:
     exchanges: int = 0
     attempt: Exchange | None = None
     _told: list[tuple[int, str, str | Callable[[], str], bytes]] = field(default_factory=list)
-    """When, by whom, and what was done or shown, in words only once somebody asks; and its bytes."""
+    """When, by whom, what was done or shown (in words only once somebody asks), and its bytes."""
     _counter: int = 0
     _shown: dict[str, int] = field(default_factory=dict)
     _shown_words: dict[str, str] = field(default_factory=dict)

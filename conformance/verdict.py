@@ -80,11 +80,16 @@ class Verdict:
     rules: tuple[str, ...] = ()
     """The rules that the device surely went by."""
     replay: str = ""
-    """What `--replay` takes to run the case again; empty: its name."""
+    """The token that holds the case; empty: its name does."""
     differing: tuple[str, ...] = ()
     """The fields of `observed` that are not as expected, or its layout."""
     blamed: tuple[str, ...] = ()
     """The rules by which the device should have gone where it was blamed."""
+
+    @property
+    def again(self) -> str:
+        """What `--replay` takes to run the case again."""
+        return self.replay or self.case
 
     def ways(self) -> tuple[Way, ...]:
         """Tell for each line of the trace which way it goes; a crash ends with the death."""

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from ecatspec.conformance.results import Journal, Basis
+    from ecatspec.conformance.results import Basis, Journal
     from ecatspec.conformance.steps import Crew
     from ecatspec.generators.case import Limits
     from ecatspec.generators.vectors import Test

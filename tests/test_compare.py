@@ -12,7 +12,7 @@ from short import FAULT, SMALL, shorten
 
 from ecatspec.conformance import cli, record
 from ecatspec.conformance.compare import compare, headline
-from ecatspec.conformance.results import Run, Basis
+from ecatspec.conformance.results import Basis, Run
 from ecatspec.conformance.verdict import Outcome, Verdict
 
 if TYPE_CHECKING:

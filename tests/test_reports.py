@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import importlib
 import json
+import re
+import xml.etree.ElementTree as ET
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
+import jsonschema
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ecatspec.conformance import reports
+from ecatspec.conformance.colours import coloured
+from ecatspec.conformance.marks import parts
 from ecatspec.conformance.reports import REPORTS, judged
-from ecatspec.conformance.reports.json_report import SCHEMA, VERSION
+from ecatspec.conformance.reports.json_report import SCHEMA, VERSION, json_schema
 from ecatspec.conformance.reports.text import WIDTH
-from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
+from ecatspec.conformance.verdict import Outcome, Result, SetUp, TraceLine, Verdict
 from ecatspec.spec.language.load import load_standard
 
 PROTOCOL = load_standard()
@@ -33,6 +40,8 @@ FAIL = Verdict(
     (TraceLine(0, "MainDevice", "writes x"), TraceLine(12_345, "SubDevice", "shows y " * 20)),
     "12.3 ms",
     "same cause",
+    differing=("code",),
+    blamed=("al.preop_skipping_refused",),
 )
 LONGER = replace(FAIL, case="al/refused/2", trace=(*FAIL.trace, *FAIL.trace))
 CRASH = Verdict("sdo/7", Outcome.CRASH, "unknown command", observed="the device ended: 70")
@@ -40,6 +49,9 @@ SKIPPED = tuple(
     Verdict(f"al/{number}", Outcome.SKIPPED, "t", "al is not its own") for number in range(3)
 )
 PASS = Verdict("sdo/1", Outcome.PASS, "upload")
+
+
+SET_UP = SetUp("standard", "exec:./my slave", "quick", 3, "40", "2026-01-02T03:04:05+00:00")
 
 
 def result(*verdicts: Verdict) -> Result:
@@ -54,6 +66,7 @@ def result(*verdicts: Verdict) -> Result:
         1.26,
         {"refused_in_op": "stay", "bootstrap": "supported"},
         ("a note",),
+        set_up=SET_UP,
     )
 
 
@@ -94,6 +107,12 @@ def test_the_summary_comes_first() -> None:
         "            refused_in_op = stay (found)",
         "  time      1.3 s",
     ]
+    assert lines[9:13] == [
+        "",
+        "findings",
+        "   1  crash: unknown command, 1 case",
+        "   2  fail: a change that the matrix does not allow [AL-08], 2 cases",
+    ]
 
 
 def test_the_suites_of_a_run_stand_in_the_summary() -> None:
@@ -113,12 +132,24 @@ def test_the_suites_of_a_run_stand_in_the_summary() -> None:
 def test_a_finding_says_how_to_see_it_again() -> None:
     found = result(FAIL, replace(CRASH, replay="case.eNqr"))
     lines = text(found).splitlines()
-    assert "  replay    --replay al/refused/1" in lines
-    assert "  replay    --replay case.eNqr" in lines
+    command = "ecatspec run standard --dut 'exec:./my slave' --mailbox 40"
+    assert f"  replay    {command} --replay al/refused/1" in lines
+    assert f"  replay    {command} --replay case.eNqr" in lines
     results = loaded(found)["results"]
     assert isinstance(results, list)
     replays = {finding["case"]: finding["replay"] for finding in results[0]["findings"]}
     assert replays == {"al/refused/1": "al/refused/1", "sdo/7": "case.eNqr"}
+    commands = {finding["case"]: finding["command"] for finding in results[0]["findings"]}
+    assert commands["sdo/7"] == f"{command} --replay case.eNqr"
+
+
+def test_what_was_no_run_is_not_run_again() -> None:
+    captured = replace(result(FAIL), set_up=None)
+    assert "replay" not in text(captured)
+    assert "case      al/refused/1" in text(captured)
+    results = loaded(captured)["results"]
+    assert isinstance(results, list)
+    assert results[0]["set_up"] is results[0]["findings"][0]["command"] is None
 
 
 def test_a_long_token_stays_whole() -> None:
@@ -138,17 +169,86 @@ def test_a_finding_cites_its_clause() -> None:
     said = " ".join(text(ALL).split())
     assert f"AL-08 must: {CLAUSE.wording} source: {CLAUSE.source}" in said
     assert "claims AKD-C31" in said
-    assert "expected one of - al_status_code: code 0x0011 - al_status_code: code 0x0012" in said
-    assert "observed al_status_code: code 0x0000" in said
+    assert "one of - al_status_code: >code 0x0011< - al_status_code: >code 0x0012<" in said
+    assert "observed al_status_code: >code 0x0000<" in said
 
 
-def test_the_shortest_trace_is_shown_in_columns() -> None:
+def chart(*lines: TraceLine, outcome: Outcome = Outcome.FAIL) -> list[str]:
+    """The sequence chart of a verdict, from its heading on."""
+    said = text(result(replace(FAIL, outcome=outcome, trace=lines))).splitlines()
+    first = next(n for n, line in enumerate(said) if line.startswith("  trace"))
+    return said[first : said.index("", first) - 1]
+
+
+def test_the_shortest_trace_is_a_sequence_chart() -> None:
     lines = text(ALL).splitlines()
-    first = lines.index("  trace") + 1
-    assert lines[first] == "     0.000 ms  MainDevice  writes x"
-    assert lines[first + 1].startswith("    12.345 ms  SubDevice   shows y shows y")
-    assert lines[first + 2].startswith(" " * 27 + "y")
-    assert sum("MainDevice" in line for line in lines) == 1
+    first = next(n for n, line in enumerate(lines) if line.startswith("  trace"))
+    assert lines[first : first + 4] == [
+        "  trace   MainDevice  SubDevice",
+        "     0.000 ms  |---------->|  writes x",
+        "    12.345 ms  |<----------|  shows y shows y shows y shows y shows y shows y",
+        "               |           |  shows y shows y shows y shows y shows y shows y",
+    ]
+    assert sum("writes x" in line for line in lines) == 1
+
+
+def test_a_chart_has_the_bytes_of_messages() -> None:
+    assert chart(TraceLine(0, "SubDevice", "answers x", b"\x0a\x00\xff"))[1:] == [
+        "    0.000 ms  |<----------|  answers x",
+        "              |           |  0A 00 FF",
+    ]
+
+
+def test_what_does_not_go_over_the_bus_has_no_arrow() -> None:
+    lines = chart(
+        TraceLine(0, "MainDevice", "waits 5.0 ms"),
+        TraceLine(0, "SubDevice", "is befallen by sync lost"),
+        TraceLine(0, "reason", "SyncManager 2 length 3"),
+    )
+    assert [line[14:27] for line in lines[1:]] == ["|           |"] * 3
+
+
+def test_a_crash_ends_the_line_of_the_device() -> None:
+    lines = chart(
+        TraceLine(0, "MainDevice", "sends x"),
+        TraceLine(0, "SubDevice", "the device ended"),
+        outcome=Outcome.CRASH,
+    )
+    assert [line[14:27] for line in lines[1:]] == ["|---------->|", "|           X"]
+
+
+@pytest.mark.parametrize(
+    ("words", "differing", "marked"),
+    [
+        ("sdo_abort: counter 2, index 0x1000", ("index",), ["index 0x1000"]),
+        ("sdo_abort: counter 2, index 0x1000", ("sdo_abort",), ["sdo_abort"]),
+        (
+            "a: state 2 PREOP, error no; b: code 0x0011",
+            ("error", "code"),
+            ["error no", "code 0x0011"],
+        ),
+        ("a: index 1, subindex 2", ("index",), ["index 1"]),
+        ("a: state in OP", ("in",), []),
+        ("mailbox empty: no reply", (), []),
+    ],
+)
+def test_the_fields_that_differ_are_marked(
+    words: str, differing: tuple[str, ...], marked: list[str]
+) -> None:
+    found = list(parts(words, differing))
+    assert "".join(part for part, _ in found) == words
+    assert [part for part, differs in found if differs] == marked
+
+
+def test_colours_change_no_letter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    said = coloured(text(ALL))
+    assert "\x1b[1;31m1. CRASH" in said
+    assert re.sub(r"\x1b\[[0-9;]*m", "", said) == text(ALL)
+    monkeypatch.setenv("NO_COLOR", "1")
+    plain = coloured(text(ALL))
+    assert not re.search(r"\x1b\[[0-9;]*3[0-9]m", plain)
 
 
 def test_a_clause_that_no_text_declares_is_named() -> None:
@@ -245,6 +345,197 @@ def test_json_differs_in_the_time_alone() -> None:
         one for one, two in zip(first.splitlines(), second.splitlines(), strict=True) if one != two
     ]
     assert [line.strip() for line in differing] == ['"seconds": 1.26,']
+
+
+def test_the_schema_of_json_is_shipped() -> None:
+    shipped = resources.files("ecatspec.conformance.reports").joinpath("report.schema.json")
+    wanted = json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
+    assert shipped.read_text("utf-8") == wanted, (
+        "make it again: print json.dumps(json_report.json_schema(), indent=2, sort_keys=True)"
+    )
+    jsonschema.Draft202012Validator.check_schema(json_schema())
+
+
+def validator() -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(json_schema())
+
+
+@given(st.lists(verdicts, max_size=4), st.sampled_from((SET_UP, None)))
+def test_json_is_what_its_schema_says(said: list[Verdict], set_up: SetUp | None) -> None:
+    validator().validate(loaded(replace(result(*said), set_up=set_up)))
+
+
+def test_the_schema_is_closed() -> None:
+    for place in ([], ["results", 0], ["results", 0, "findings", 0], ["results", 0, "verdicts", 0]):
+        data: Any = loaded(ALL)
+        part = data
+        for key in place:
+            part = part[key]
+        part["surplus"] = 1
+        assert not validator().is_valid(data), place
+        del part["surplus"]
+        validator().validate(data)
+
+
+# --- JUnit ----------------------------------------------------------------------------------------
+
+
+def junit(*results: Result) -> ET.Element:
+    return ET.fromstring(REPORTS["junit"](results, PROTOCOL))
+
+
+def case_of(root: ET.Element, name: str) -> ET.Element:
+    (found,) = (case for case in root.iter("testcase") if case.get("name") == name)
+    return found
+
+
+def test_junit_has_one_test_for_each_clause() -> None:
+    root = junit(ALL)
+    names = [case.attrib["name"] for case in root.iter("testcase")]
+    assert sorted(names) == sorted([*PROTOCOL.clauses, "run"])
+    told = {p.attrib["name"]: p.attrib["value"] for p in case_of(root, "AL-08").iter("property")}
+    assert told == {"level": "must", "wording": CLAUSE.wording, "source": CLAUSE.source}
+
+
+def test_junit_counts_what_is_there() -> None:
+    root = junit(ALL)
+    for holder in (root, *root.iter("testsuite")):
+        cases = list(holder.iter("testcase"))
+        assert int(holder.attrib["tests"]) == len(cases)
+        for key, kind in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+            assert int(holder.attrib[key]) == sum(c.find(kind) is not None for c in cases)
+
+
+def test_junit_tells_what_went_wrong() -> None:
+    root = junit(ALL)
+    failure = case_of(root, "AL-08").find("failure")
+    assert failure is not None
+    assert failure.attrib == {"message": FAIL.title, "type": "fail"}
+    assert "observed: al_status_code: code 0x0000" in str(failure.text)
+    assert "also in 1 other case" in str(failure.text)
+    assert "--replay al/refused/1" in str(failure.text)
+    crash = case_of(root, "run").find("failure")  # it cites no clause
+    assert crash is not None
+    assert crash.get("type") == "crash"
+
+
+def test_junit_says_what_was_not_shown() -> None:
+    skipped = case_of(junit(ALL), "AL-01").find("skipped")
+    assert skipped is not None
+    held = replace(PASS, rules=("al.init_to_preop",))
+    assert case_of(junit(result(held)), "AL-03").find("skipped") is None
+
+
+def test_nothing_judged_is_an_error_in_junit() -> None:
+    root = junit(result(*SKIPPED))
+    assert case_of(root, "run").find("error") is not None
+    assert root.get("errors") == "1"
+
+
+def test_a_warning_is_no_failure_in_junit() -> None:
+    case = case_of(junit(result(replace(FAIL, outcome=Outcome.WARNING))), "AL-08")
+    assert case.find("failure") is None
+    assert "warning: a change" in str(case.findtext("system-out"))
+
+
+def test_names_in_junit_are_unique() -> None:
+    root = junit(ALL, result(PASS))
+    names = [(c.attrib["classname"], c.attrib["name"]) for c in root.iter("testcase")]
+    assert len(set(names)) == len(names)
+
+
+def test_junit_stays_small() -> None:
+    """GitLab takes 30 MB: a finding for every clause and many more, each with a long trace."""
+    long = tuple(TraceLine(n, "MainDevice", "writes " * 200) for n in range(500))
+    findings = [
+        replace(FAIL, case=f"al/{n}", signature=str(n), clauses=tuple(PROTOCOL.clauses), trace=long)
+        for n in range(100)
+    ]
+    size = len(REPORTS["junit"]((result(*findings),), PROTOCOL))
+    assert size / len(PROTOCOL.clauses) < 30_000_000 / 800  # no device has so many clauses
+
+
+@settings(max_examples=10)  # each looks through all texts
+@given(st.lists(verdicts, max_size=4))
+def test_junit_holds_whatever_is_said(said: list[Verdict]) -> None:
+    junit(result(*said))
+
+
+# --- HTML -----------------------------------------------------------------------------------------
+
+
+def page(*results: Result) -> str:
+    return REPORTS["html"](results, PROTOCOL)
+
+
+def test_the_page_needs_nothing_else() -> None:
+    said = page(ALL)
+    outside = re.findall(r"""(?:src|href|url)\s*[=(]\s*["']?([^"'#)\s>][^"')\s>]*)""", said)
+    assert set(outside) == {"data:,"}
+    assert "@import" not in said
+
+
+def test_every_link_of_the_page_has_its_place() -> None:
+    said = page(ALL, result(PASS))
+    places = re.findall(r' id="([^"]+)"', said)
+    assert len(set(places)) == len(places)
+    assert set(re.findall(r'href="#([^"]+)"', said)) <= set(places)
+
+
+def test_words_of_a_device_do_not_become_markup() -> None:
+    evil = "<script>alert(1)</script>"
+    said = page(replace(result(replace(FAIL, observed=evil, title=evil)), subject=evil))
+    assert evil not in said
+    assert said.count("&lt;script&gt;alert(1)") >= 3
+
+
+def test_the_page_tells_which_bytes_are_which_field() -> None:
+    data = bytes.fromhex("0a000000000300304300100000000000")
+    lines = (TraceLine(0, "SubDevice", "answers x", data),)
+    said = page(result(replace(FAIL, trace=lines, differing=("index",))))
+    assert re.search(
+        r'<tr class="differs"><td>9 to 10</td><td><code>00 10</code></td>'
+        r'<th scope="row">index</th><td><mark>0x1000</mark></td>',
+        said,
+    )
+    assert '<td>5, bits 0 to 3</td><td><code>03</code></td><th scope="row">type</th>' in said
+
+
+def test_the_page_colours_what_was_exercised_and_blamed() -> None:
+    gone = replace(result(FAIL), rules_covered=("al.init_to_preop",))
+    said = page(gone)
+    assert re.search(r'<text [^>]*class="exercised"[^>]*>init_to_preop<', said)
+    assert re.search(r'<text [^>]*class="failed"[^>]*>preop_skipping_refused<', said)
+
+
+def test_the_page_says_where_it_comes_from() -> None:
+    said = page(ALL)
+    for word in (PROTOCOL.digest, "exec:./my slave", "2026-01-02T03:04:05+00:00", "quick"):
+        assert word in said
+
+
+# --- annotations ----------------------------------------------------------------------------------
+
+
+def test_github_gets_a_line_for_each_finding() -> None:
+    lines = REPORTS["github"]((ALL,), PROTOCOL).splitlines()
+    assert [line.partition("::")[2].partition(" ")[0] for line in lines] == ["error", "error"]
+    assert lines[1].startswith("::error title=fail%3A a change that the matrix does not allow::")
+    assert "%0Aobserved: al_status_code: code 0x0000%0A" in lines[1]
+
+
+def test_a_device_cannot_give_github_commands() -> None:
+    evil = replace(FAIL, observed="100%\n::set-output name=x::y", title="a,b:c")
+    (line,) = REPORTS["github"]((result(evil),), PROTOCOL).splitlines()
+    assert "title=fail%3A a%2Cb%3Ac::" in line
+    assert "100%25 ::set-output" in line
+
+
+def test_github_gets_no_more_than_it_shows() -> None:
+    many = [replace(FAIL, case=str(n), signature=str(n)) for n in range(60)]
+    lines = REPORTS["github"]((result(*many),), PROTOCOL).splitlines()
+    assert len(lines) == 51
+    assert lines[-1] == "::notice::10 findings more, see the report"
 
 
 def test_reports_are_loaded_when_used(monkeypatch: pytest.MonkeyPatch) -> None:

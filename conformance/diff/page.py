@@ -6,9 +6,12 @@ import textwrap
 from html import escape
 from typing import TYPE_CHECKING, Final
 
+from markupsafe import Markup
+
 from ecatspec.conformance.devices import cell_words
 from ecatspec.conformance.diff.report import headline, sheets
 from ecatspec.conformance.drawings.svg import drawing
+from ecatspec.conformance.pages import render
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,22 +22,16 @@ if TYPE_CHECKING:
 
 MARK: Final = "odd"
 """The CSS class of rules that decide about a difference."""
-_STYLE: Final = """
-:root{color-scheme:light dark}
-body{font:15px/1.45 system-ui,sans-serif;margin:2rem auto;max-width:1500px;padding:0 1rem}
-table{border-collapse:collapse;width:100%;margin:.5rem 0 2rem;display:block;overflow-x:auto}
-th,td{border:1px solid #8886;padding:.3rem .5rem;text-align:left;vertical-align:top}
+_STYLE: Final = Markup("""\
 .both{display:grid;grid-template-columns:1fr 1fr;gap:1rem}
-.both>*{overflow:auto;border:1px solid #8886}
-.ecs .ecs-arrow.odd path{stroke:#cf222e;stroke-width:3}
-.ecs .ecs-arrow.odd polygon,.ecs .ecs-arrow.odd circle{fill:#cf222e}
-.ecs text.odd{fill:#cf222e;font-weight:bold}
+.both>*{overflow:auto;border:1px solid var(--line)}
 .chart{max-width:900px;width:100%;height:auto}
 .chart line{stroke:currentColor}
 .chart text{fill:currentColor;font-size:13px}
-.chart .odd{stroke:#cf222e;stroke-width:2}
+.chart .odd{stroke:var(--bad);stroke-width:2}
 details{margin:.4rem 0}
-"""
+@media (max-width:60rem){.both{grid-template-columns:1fr}}
+""")
 _WIDTH: Final = 900
 _LIVES: Final = (130, 450, 770)
 """Where the lines of the first device, the MainDevice and the second device stand."""
@@ -47,17 +44,14 @@ _MACHINES: Final = ("al", "ds402")
 
 def page(found: Comparison) -> str:
     """Give the page: both diagrams side by side, all tables, and each witness as a chart."""
-    title = escape(f"{found.names[0]} against {found.names[1]}")
-    body = [f"<h1>{title}</h1>", f"<p>{escape(headline(found))}</p>"]
+    title = f"{found.names[0]} against {found.names[1]}"
+    body = [f"<h1>{escape(title)}</h1>", f"<p>{escape(headline(found))}</p>"]
     body += [_diagrams(found, machine) for machine in _MACHINES]
     body.append("<h2>Witnesses</h2>")
     body += [_witness(found, number, each) for number, each in enumerate(found.behaviours, 1)]
     body += [_table(sheet) for sheet in sheets(found)]
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
-    content = "\n".join(body)
-    return (
-        f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{content}\n</body></html>\n'
-    )
+    # every word in it is escaped where it is put in
+    return render("page.html", title=title, style=_STYLE, body=Markup("\n".join(body)))  # noqa: S704
 
 
 def _diagrams(found: Comparison, machine: str) -> str:
@@ -65,7 +59,7 @@ def _diagrams(found: Comparison, machine: str) -> str:
     for side, protocol in enumerate(found.protocols):
         if machine in protocol.machines:
             marked = dict.fromkeys(_odd_rules(found, machine, side), MARK)
-            drawn.append(f"<div>{drawing(protocol, machine, marked)}</div>")
+            drawn.append(f'<div tabindex="0">{drawing(protocol, machine, marked)}</div>')
     heading = escape(f"The machine {machine}: rules that decide about differences are marked")
     return f'<h2>{heading}</h2>\n<div class="both">{"".join(drawn)}</div>'
 
@@ -79,12 +73,13 @@ def _odd_rules(found: Comparison, machine: str, side: int) -> Iterator[str]:
 
 
 def _table(sheet: Sheet) -> str:
-    head = "".join(f"<th>{escape(column)}</th>" for column in sheet.columns)
+    head = "".join(f'<th scope="col">{escape(column)}</th>' for column in sheet.columns)
     rows = "\n".join(
         f"<tr>{''.join(f'<td>{escape(cell_words(cell))}</td>' for cell in row)}</tr>"
         for row in sheet.rows
     )
-    return f"<h2>{escape(sheet.title)}</h2>\n<table><tr>{head}</tr>\n{rows}</table>"
+    table = f"<table><thead><tr>{head}</tr></thead>\n<tbody>{rows}</tbody></table>"
+    return f'<h2>{escape(sheet.title)}</h2>\n<div class="scroll" tabindex="0">{table}</div>'
 
 
 def _witness(found: Comparison, number: int, behaviour: Behaviour) -> str:
@@ -123,7 +118,8 @@ def _chart(names: tuple[str, str], behaviour: Behaviour) -> str:
         bottom = max(bottom, y + (len(lines) + 1) * _LINE)
     lives = [f'<line x1="{x}" y1="{top}" x2="{x}" y2="{y + 4}"/>' for x in _LIVES]
     drawn = "".join((*lives, *parts))
-    return f'<svg class="chart" role="img" viewBox="0 0 {_WIDTH} {bottom}">{drawn}</svg>'
+    kind = 'class="chart" role="img" aria-label="sequence"'
+    return f'<svg {kind} viewBox="0 0 {_WIDTH} {bottom}">{drawn}</svg>'
 
 
 def _text(x: int, y: int, words: str, anchor: str) -> str:

@@ -38,5 +38,8 @@ REPORTS: Final[Mapping[str, Report]] = MappingProxyType(
     {
         "text": partial(_make, "text"),
         "json": partial(_make, "json_report"),
+        "junit": partial(_make, "junit_report"),
+        "html": partial(_make, "html_report"),
+        "github": partial(_make, "github_report"),
     }
 )

@@ -1,13 +1,20 @@
-"""The only place for a report that machines read: stable JSON, the same for the same results."""
+"""The only place for a report that machines read: stable JSON, the same for the same results.
+
+The types are the format: the report is made with them, and the JSON Schema is made from them.
+"""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import msgspec
+from msgspec import Meta, Struct
 
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import Outcome
+from ecatspec.spec.language.ir import Level  # noqa: TC001  msgspec reads the annotations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,76 +26,198 @@ SCHEMA: Final = "ecatspec.report"
 VERSION: Final = 1
 """Goes up when a field changes its meaning or goes away; new fields may come without."""
 
+Count = Annotated[int, Meta(ge=0)]
+Seconds = Annotated[float, Meta(ge=0)]
+
+
+class _Part(Struct, frozen=True, forbid_unknown_fields=True):
+    """What all parts have in common: nothing is there that is not named here."""
+
+
+class Specification(_Part, frozen=True):
+    """The texts that the device was judged by."""
+
+    name: str
+    digest: str
+
+
+class SetUpPart(_Part, frozen=True):
+    """How a run was asked for, and when."""
+
+    device: str
+    dut: str
+    depth: str
+    seed: int
+    mailbox: str
+    began: str
+
+
+class Covered(_Part, frozen=True):
+    """What was exercised, of so many."""
+
+    covered: list[str]
+    total: Count
+
+
+class ClausePart(_Part, frozen=True, omit_defaults=True):
+    """A clause; of one that no text declares only its id is known."""
+
+    id: str
+    level: Level | None = None
+    wording: str | None = None
+    source: str | None = None
+
+
+class Line(_Part, frozen=True, omit_defaults=True):
+    """One line of a trace; `bytes` are those of a message, in hexadecimal."""
+
+    microseconds: int
+    who: str
+    what: str
+    bytes: str = ""
+
+
+class Brief(_Part, frozen=True):
+    """A verdict in short."""
+
+    case: str
+    outcome: Outcome
+    title: str
+    reason: str
+    at: str
+    flag: str
+
+
+class FindingPart(Brief, frozen=True):
+    """One cause: the verdict with the shortest trace, and the other cases that show the same."""
+
+    clauses: list[ClausePart]
+    claims: list[str]
+    expected: list[str]
+    observed: str
+    differing: list[str]
+    """The fields of `observed` that are not as expected, or its layout."""
+    blamed: list[str]
+    """The rules by which the device should have gone."""
+    signature: str
+    trace: list[Line]
+    also: list[str]
+    replay: str
+    """What `--replay` takes."""
+    command: str | None
+    """The whole command line; null where the case cannot be run again."""
+
+
+class ResultPart(_Part, frozen=True):
+    """A run, or one device of a capture."""
+
+    device: str
+    subject: str
+    conforms: bool
+    judged: bool
+    interrupted: bool
+    seconds: Seconds
+    set_up: SetUpPart | None
+    cases: dict[Outcome, Count]
+    rules: Covered
+    clauses: Covered
+    choices: dict[str, str]
+    findings: list[FindingPart]
+    verdicts: list[Brief]
+    notes: list[str]
+    guarantees: list[str]
+
+
+class Report(_Part, frozen=True):
+    """The whole report."""
+
+    schema: Literal["ecatspec.report"]
+    schema_version: Literal[1]
+    specification: Specification
+    conforms: bool
+    results: list[ResultPart]
+
 
 def report(results: Sequence[Result], protocol: Protocol) -> str:
-    """Give all results as one JSON object; only `seconds` differs from run to run."""
-    data = {
-        "schema": SCHEMA,
-        "schema_version": VERSION,
-        "specification": {"name": protocol.name, "digest": protocol.digest},
-        "conforms": all(result.conforms for result in results),
-        "results": [_result(result, protocol) for result in results],
-    }
-    return json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n"
+    """Give all results as one JSON object; only times differ from run to run."""
+    data = Report(
+        SCHEMA,
+        VERSION,
+        Specification(protocol.name, protocol.digest),
+        all(result.conforms for result in results),
+        [_result(result, protocol) for result in results],
+    )
+    plain = msgspec.to_builtins(data, str_keys=True)
+    return json.dumps(plain, indent=2, sort_keys=True, allow_nan=False) + "\n"
 
 
-def _result(result: Result, protocol: Protocol) -> dict[str, object]:
+def json_schema() -> dict[str, Any]:
+    """Give the JSON Schema of a report, closed: nothing may be there that it does not name."""
+    schema = msgspec.json.schema(Report)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _result(result: Result, protocol: Protocol) -> ResultPart:
     counts = Counter(verdict.outcome for verdict in result.verdicts)
     ordered = sorted(result.verdicts, key=lambda v: (v.case, v.outcome.value, v.at, v.title))
-    return {
-        "device": result.device,
-        "subject": result.subject,
-        "conforms": result.conforms,
-        "judged": judged(result),
-        "interrupted": result.interrupted,
-        "seconds": round(result.seconds, 3),
-        "cases": {outcome.value: counts[outcome] for outcome in Outcome},
-        "rules": {"covered": sorted(result.rules_covered), "total": result.rules_total},
-        "clauses": {"covered": sorted(result.clauses_covered), "total": result.clauses_total},
-        "choices": dict(result.choices),
-        "findings": [_finding(finding, protocol) for finding in result.findings()],
-        "verdicts": [_brief(verdict) for verdict in ordered],
-        "notes": list(result.notes),
-        "guarantees": list(result.guarantees),
-    }
+    return ResultPart(
+        result.device,
+        result.subject,
+        result.conforms,
+        judged(result),
+        result.interrupted,
+        round(result.seconds, 3),
+        _set_up(result),
+        {outcome: counts[outcome] for outcome in Outcome},
+        Covered(sorted(result.rules_covered), result.rules_total),
+        Covered(sorted(result.clauses_covered), result.clauses_total),
+        dict(result.choices),
+        [_finding(finding, result, protocol) for finding in result.findings()],
+        [Brief(*_brief(verdict)) for verdict in ordered],
+        list(result.notes),
+        list(result.guarantees),
+    )
 
 
-def _brief(verdict: Verdict) -> dict[str, object]:
-    return {
-        "case": verdict.case,
-        "outcome": verdict.outcome.value,
-        "title": verdict.title,
-        "reason": verdict.reason,
-        "at": verdict.at,
-        "flag": verdict.flag,
-    }
+def _set_up(result: Result) -> SetUpPart | None:
+    asked = result.set_up
+    if asked is None:
+        return None
+    return SetUpPart(asked.device, asked.dut, asked.depth, asked.seed, asked.mailbox, asked.began)
 
 
-def _finding(finding: Finding, protocol: Protocol) -> dict[str, object]:
+def _brief(verdict: Verdict) -> tuple[str, Outcome, str, str, str, str]:
+    return (
+        verdict.case,
+        verdict.outcome,
+        verdict.title,
+        verdict.reason,
+        verdict.at,
+        verdict.flag,
+    )
+
+
+def _finding(finding: Finding, result: Result, protocol: Protocol) -> FindingPart:
     verdict = finding.verdict
-    return {
-        **_brief(verdict),
-        "clauses": [_clause(name, protocol) for name in verdict.clauses],
-        "claims": list(verdict.claims),
-        "expected": list(verdict.expected),
-        "observed": verdict.observed,
-        "signature": verdict.signature,
-        "trace": [
-            {"microseconds": line.time, "who": line.who, "what": line.what}
-            for line in verdict.trace
-        ],
-        "also": sorted(finding.also),
-        "replay": verdict.replay or verdict.case,
-    }
+    replay = verdict.again
+    return FindingPart(
+        *_brief(verdict),
+        clauses=[_clause(name, protocol) for name in verdict.clauses],
+        claims=list(verdict.claims),
+        expected=list(verdict.expected),
+        observed=verdict.observed,
+        differing=list(verdict.differing),
+        blamed=list(verdict.blamed),
+        signature=verdict.signature,
+        trace=[Line(line.time, line.who, line.what, line.data.hex()) for line in verdict.trace],
+        also=sorted(finding.also),
+        replay=replay,
+        command=None if result.set_up is None else result.set_up.command(replay),
+    )
 
 
-def _clause(name: str, protocol: Protocol) -> dict[str, object]:
+def _clause(name: str, protocol: Protocol) -> ClausePart:
     clause = protocol.clauses.get(name)
     if clause is None:
-        return {"id": name}
-    return {
-        "id": name,
-        "level": clause.level.value,
-        "wording": clause.wording,
-        "source": clause.source,
-    }
+        return ClausePart(name)
+    return ClausePart(name, clause.level, clause.wording, clause.source)

@@ -3,23 +3,37 @@
 from __future__ import annotations
 
 import textwrap
-from collections import Counter
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.conformance.marks import parts, plain, plural
 from ecatspec.conformance.reports import judged
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Outcome, Way
 from ecatspec.generators.families import NOTES
+from ecatspec.model.words import bytes_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from ecatspec.conformance.verdict import Finding, Result, TraceLine
+    from ecatspec.conformance.verdict import Finding, Result, Verdict
     from ecatspec.spec.language.ir import Protocol
 
 WIDTH: Final = 80
+MARKS: Final = (">", "<")
+"""What stands around a field that differs."""
 _INDENT: Final = "  "
 _LABEL: Final = 10
+_CITED: Final = 3
+"""Clauses that the list at the top names of a finding at most."""
 _MICROSECONDS: Final = 1000
+_LIVES: Final = (MAIN_DEVICE, SUB_DEVICE)
+_APART: Final = 12
+"""Columns from the line of the MainDevice to that of the SubDevice."""
+_ARROWS: Final = {
+    Way.TO_DEVICE: f"|{'-' * (_APART - 2)}>|",
+    Way.FROM_DEVICE: f"|<{'-' * (_APART - 2)}|",
+    Way.NONE: f"|{' ' * (_APART - 1)}|",
+    Way.DEATH: f"|{' ' * (_APART - 1)}X",
+}
 
 
 def report(results: Sequence[Result], protocol: Protocol) -> str:
@@ -34,12 +48,20 @@ def _result(result: Result, protocol: Protocol) -> Iterable[str]:
     yield from _wrapped(_INDENT, _judgement(result, findings))
     yield ""
     yield from _summary(result, protocol)
+    if findings:
+        yield ""
+        yield "findings"
+    for number, finding in enumerate(findings, 1):
+        yield from _line(number, finding)
     for number, finding in enumerate(findings, 1):
         yield ""
-        yield from _finding(f"{number}. ", finding, protocol)
-    unjudged = list(_unjudged(result))
+        again = result.set_up.command(finding.verdict.again) if result.set_up is not None else ""
+        yield from _finding(f"{number}. ", finding, protocol, again)
+    unjudged = result.unjudged()
     if unjudged:
-        yield from ("", "not judged", *unjudged)
+        yield from ("", "not judged")
+        for outcome, reason, count in unjudged:
+            yield from _wrapped(_INDENT + "- ", f"{plural(count, 'case')} {outcome}: {reason}")
     if result.notes:
         yield from ("", "notes")
         for note in result.notes:
@@ -51,7 +73,7 @@ def _judgement(result: Result, findings: Sequence[Finding]) -> str:
     if not judged(result):
         words = "NOT JUDGED"
     if findings:
-        words += f": {_plural(len(findings), 'finding')}"
+        words += f": {plural(len(findings), 'finding')}"
     if result.interrupted:
         words += " (interrupted: what was found so far)"
     return words
@@ -80,10 +102,22 @@ def _choice(name: str, way: str, protocol: Protocol) -> str:
 
 def explained(finding: Finding, protocol: Protocol, command: str) -> str:
     """Give one finding as text; `command` runs the device, and replays the finding."""
-    return "\n".join(_finding("", finding, protocol, command))
+    again = f"{command} --replay {finding.verdict.again}"
+    return "\n".join(_finding("", finding, protocol, again))
 
 
-def _finding(head: str, finding: Finding, protocol: Protocol, command: str = "") -> Iterable[str]:
+def _line(number: int, finding: Finding) -> Iterable[str]:
+    """Give one line of the list at the top: what, by which clauses, in how many cases."""
+    verdict = finding.verdict
+    more = len(verdict.clauses) - _CITED
+    named = ", ".join(verdict.clauses[:_CITED]) + (f" and {more} more" if more > 0 else "")
+    cited = f" [{named}]" if named else ""
+    cases = plural(1 + len(finding.also), "case")
+    said = f"{verdict.outcome.value}: {verdict.title}{cited}, {cases}"
+    yield from _wrapped(f"{_INDENT}{number:>2}  ", said)
+
+
+def _finding(head: str, finding: Finding, protocol: Protocol, again: str) -> Iterable[str]:
     verdict = finding.verdict
     yield from _wrapped(head, f"{verdict.outcome.value.upper()}: {verdict.title}")
     for name in verdict.clauses:
@@ -93,27 +127,34 @@ def _finding(head: str, finding: Finding, protocol: Protocol, command: str = "")
             words = [f"{name} {clause.level.value}: {clause.wording}", f"source: {clause.source}"]
         yield from _labelled("clause", words)
     yield from _labelled("claims", [", ".join(verdict.claims)] if verdict.claims else [])
-    yield from _labelled("expected", [*_alternatives(verdict.expected)])
-    yield from _labelled("observed", [verdict.observed] if verdict.observed else [])
+    expected = [_marked(words, verdict.differing) for words in verdict.expected]
+    yield from _labelled("expected", [*_alternatives(expected)])
+    observed = _marked(verdict.observed, verdict.differing)
+    yield from _labelled("observed", [observed] if observed else [])
     yield from _labelled("reason", [verdict.reason] if verdict.reason else [])
     flag = f"{verdict.flag}: {NOTES[verdict.flag]}" if verdict.flag else ""
     yield from _labelled("flag", [flag] if flag else [])
     yield from _labelled("at", [verdict.at] if verdict.at else [])
     yield from _labelled("case", [verdict.case])
-    # a token is copied, so it stays whole
-    again = _plain(verdict.replay or verdict.case)
-    again = f"{command} --replay {again}".strip()
-    yield f"{_INDENT}{'replay':<{_LABEL}}{again}"
     if verdict.trace:
-        yield f"{_INDENT}trace"
-        yield from _trace(verdict.trace)
+        yield from _chart(verdict)
     if finding.also:
-        others = _plural(len(finding.also), "other case")
+        others = plural(len(finding.also), "other case")
         yield from _labelled("also", [f"{others} {_show(len(finding.also))} the same"])
+    if again:
+        # it is copied, so it stays whole
+        yield f"{_INDENT}{'replay':<{_LABEL}}{plain(again)}".rstrip()
 
 
 def _show(count: int) -> str:
     return "shows" if count == 1 else "show"
+
+
+def _marked(words: str, differing: Sequence[str]) -> str:
+    first, last = MARKS
+    return "".join(
+        f"{first}{part}{last}" if differs else part for part, differs in parts(words, differing)
+    )
 
 
 def _alternatives(expected: Sequence[str]) -> Iterable[str]:
@@ -124,50 +165,39 @@ def _alternatives(expected: Sequence[str]) -> Iterable[str]:
     yield from (f"- {alternative}" for alternative in expected)
 
 
-def _trace(trace: Sequence[TraceLine]) -> Iterable[str]:
-    times = [f"{line.time / _MICROSECONDS:.3f} ms" for line in trace]
-    width = max(map(len, times))
-    who = max(len(_plain(line.who)) for line in trace)
-    for moment, line in zip(times, trace, strict=True):
-        yield from _wrapped(f"    {moment:>{width}}  {_plain(line.who):<{who}}  ", line.what)
+def _chart(verdict: Verdict) -> Iterable[str]:
+    """Draw who does what as a sequence chart, the time to its left and the words to its right."""
+    times = [f"{line.time / _MICROSECONDS:.3f} ms" for line in verdict.trace]
+    width = max(*map(len, times), len(_LIVES[0]) // 2)
+    life = len(_INDENT * 2) + width + 2
+    heads = "".join(f"{name:^{2 * (_APART // 2)}}" for name in _LIVES)
+    yield f"{_INDENT}{'trace':<{life - _APART // 2 - len(_INDENT)}}{heads}".rstrip()
+    for moment, line, way in zip(times, verdict.trace, verdict.ways(), strict=True):
+        start = f"{_INDENT * 2}{moment:>{width}}  {_ARROWS[way]}  "
+        yield from _in_chart(start, line.what)
+        if line.data:
+            yield from _in_chart(f"{' ' * life}{_ARROWS[Way.NONE]}  ", bytes_words(line.data))
 
 
-def _unjudged(result: Result) -> Iterable[str]:
-    groups = Counter(
-        (verdict.outcome.value, verdict.reason or verdict.title)
-        for verdict in result.verdicts
-        if verdict.outcome in {Outcome.SKIPPED, Outcome.INCONCLUSIVE}
-    )
-    for (outcome, reason), count in sorted(groups.items()):
-        yield from _wrapped(_INDENT + "- ", f"{_plural(count, 'case')} {outcome}: {reason}")
-
-
-def _plural(count: int, word: str) -> str:
-    return f"{count} {word}" if count == 1 else f"{count} {word}s"
-
-
-def _plain(text: str) -> str:
-    """Give the text on one line, without signs that a terminal would obey."""
-    words = " ".join(text.split())
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
+def _in_chart(start: str, words: str) -> Iterable[str]:
+    bars = f"{' ' * (len(start) - _APART - 3)}{_ARROWS[Way.NONE]}  "
+    yield from _wrapped(start, words, after=bars)
 
 
 def _labelled(label: str, values: Sequence[str]) -> Iterable[str]:
     for position, value in enumerate(values):
         head = "" if position else label
         start = f"{_INDENT}{head:<{_LABEL}}"
-        hang = 2 if value.startswith("- ") else 0
-        yield from _wrapped(start, value, hang)
+        hang = "  " if value.startswith("- ") else ""
+        yield from _wrapped(start, value, after=" " * len(start) + hang)
 
 
-def _wrapped(start: str, text: str, hang: int = 0) -> list[str]:
-    if len(start) > WIDTH // 2:
-        start, text = _INDENT * 2, f"{start} {text}"
+def _wrapped(start: str, text: str, *, after: str | None = None) -> list[str]:
     lines = textwrap.wrap(
-        _plain(text),
+        plain(text),
         WIDTH,
         initial_indent=start,
-        subsequent_indent=" " * (len(start) + hang),
+        subsequent_indent=" " * len(start) if after is None else after,
         break_on_hyphens=False,
     )
     return lines or [start.rstrip()]

@@ -1,0 +1,40 @@
+"""The only place for what reports mark and clean: the fields that differ, and words of a device."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+
+def plain(text: str) -> str:
+    """Give the text on one line, without signs that a terminal would obey."""
+    words = " ".join(text.split())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
+
+
+def plural(count: int, word: str) -> str:
+    """Say how many there are."""
+    return f"{count} {word}" if count == 1 else f"{count} {word}s"
+
+
+def parts(words: str, differing: Sequence[str]) -> Iterator[tuple[str, bool]]:
+    """Yield what was expected or observed in parts; True where a part names what differs.
+
+    The words are those of `model.words`: `layout: field value, field value; layout: ...`.
+    """
+    if not differing:
+        yield words, False
+        return
+    names = "|".join(map(re.escape, differing))
+    found = re.compile(rf"(?:^|(?<=[:;,] ))(?:{names})(?: [^,;:]+)?(?=[,;:]|$)")
+    end = 0
+    for match in found.finditer(words):
+        if match.start() > end:
+            yield words[end : match.start()], False
+        yield match.group(), True
+        end = match.end()
+    if end < len(words):
+        yield words[end:], False

@@ -1,0 +1,44 @@
+"""The only place for findings as annotations of GitHub: a line each, shown beside the log."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.conformance.annotations import annotation
+from ecatspec.conformance.marks import plural
+from ecatspec.conformance.verdict import BLAMING, Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ecatspec.conformance.verdict import Finding, Result
+    from ecatspec.spec.language.ir import Protocol
+
+_MOST: Final = 50
+"""Annotations at most; GitHub shows ten of a kind for each step, and fifty for each job."""
+
+
+def report(results: Sequence[Result], protocol: Protocol) -> str:
+    """Give one line for each finding, or nothing."""
+    del protocol
+    every = [(result, finding) for result in results for finding in result.findings()]
+    lines = [_line(*each) for each in every[:_MOST]]
+    if len(every) > _MOST:
+        more = plural(len(every) - _MOST, "finding")
+        lines.append(annotation("notice", f"{more} more, see the report"))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _line(result: Result, finding: Finding) -> str:
+    verdict = finding.verdict
+    bad = verdict.outcome in BLAMING or verdict.outcome is Outcome.ERROR
+    said = [f"{result.device}, tested: {result.subject}"]
+    if verdict.clauses:
+        said.append(f"clauses: {', '.join(verdict.clauses)}")
+    said += [f"expected: {words}" for words in verdict.expected[:3]]
+    if verdict.observed:
+        said.append(f"observed: {verdict.observed}")
+    if result.set_up is not None:
+        said.append(result.set_up.command(verdict.again))
+    title = f"{verdict.outcome.value}: {verdict.title}"
+    return annotation("error" if bad else "warning", *said, title=title)

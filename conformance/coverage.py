@@ -39,7 +39,9 @@ class Covered:
 
     @property
     def blaming(self) -> tuple[Finding, ...]:
-        """Give the findings that blame the device."""
+        """Give the findings that blame the device by this clause; one that allows blames nobody."""
+        if self.clause.level is not Level.MUST:
+            return ()
         return tuple(f for _, f in self.findings if f.verdict.outcome in BLAMING)
 
     @property
@@ -47,7 +49,7 @@ class Covered:
         """Give the worst that was seen."""
         if self.blaming:
             return Shown.FAILED
-        if self.findings:
+        if self.findings and self.clause.level in {Level.MUST, Level.SHOULD}:
             return Shown.WARNED
         if self.passed:
             return Shown.HELD

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import textwrap
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from typing import TYPE_CHECKING, Any
@@ -934,3 +936,112 @@ def test_nothing_heavy_is_imported_for_the_help() -> None:
         check=True,
     )
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+# --- reports in files, and annotations ------------------------------------------------------------
+
+
+def test_reports_are_written_beside_what_is_said(
+    call: Call, played: Played, tmp_path: Path
+) -> None:
+    played.results = (result(Outcome.FAIL),)
+    page, tests = tmp_path / "r.html", tmp_path / "r.xml"
+    status, out, err = call("run", DEVICE, "--html", str(page), "--junit", str(tests))
+    assert (status, err) == (1, "")
+    assert "DOES NOT CONFORM" in out
+    assert page.read_text("utf-8").startswith("<!doctype html>")
+    assert ET.parse(tests).getroot().get("failures") == "1"
+
+
+@pytest.mark.parametrize("option", ["--html", "--junit"])
+@pytest.mark.parametrize("place", ["no/such/folder/r", ".", "a\0b"])
+def test_a_report_that_cannot_be_written_is_said_before_the_run(
+    call: Call,
+    played: Played,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    option: str,
+    place: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = call("run", DEVICE, option, place)
+    assert (status, out) == (2, "")
+    assert err.count("\n") == 1
+    assert not played.asked
+
+
+def test_a_run_that_fails_to_begin_leaves_the_report_before(
+    call: Call, played: Played, tmp_path: Path
+) -> None:
+    page = tmp_path / "r.html"
+    page.write_text("before", "utf-8")
+    played.error = AdapterError("no such adapter; there are others")
+    status, _, _ = call("run", DEVICE, "--html", str(page))
+    assert status == 2
+    assert page.read_text("utf-8") == "before"
+    assert list(tmp_path.iterdir()) == [page]
+
+
+def test_github_is_told_after_the_report(call: Call, played: Played) -> None:
+    played.results = (result(Outcome.FAIL),)
+    _, out, _ = call("run", DEVICE, "--github")
+    assert out.splitlines()[-1].startswith("::error title=fail%3A title::")
+    status, out, err = call("run", DEVICE, "--github", "--json")
+    assert (status, out) == (2, "")
+    assert "--github and --json" in err
+
+
+@pytest.mark.usefixtures("played")
+def test_the_report_has_colours_on_a_terminal_alone(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    assert "\x1b" not in call("run", DEVICE)[1]
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    assert "\x1b" in call("run", DEVICE)[1]
+    assert "\x1b" not in call("run", DEVICE, "--json")[1]
+
+
+def bad_text(folder: Path) -> str:
+    path = folder / "bad text.ecs"
+    path.write_text("standard x\n  nonsense here\n", "utf-8")
+    return str(path)
+
+
+def test_check_gives_sarif(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad_text(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    status, out, err = call("check", "bad text.ecs", "missing.ecs", "--sarif")
+    assert status == 2
+    assert err.count("\n") == 1
+    data = json.loads(out)
+    assert data["version"] == "2.1.0"
+    (run,) = data["runs"]
+    rules = run["tool"]["driver"]["rules"]
+    (found,) = run["results"]
+    assert rules[found["ruleIndex"]]["id"] == found["ruleId"]
+    (place,) = found["locations"]
+    where = place["physicalLocation"]
+    assert where["artifactLocation"] == {"uri": "bad%20text.ecs", "uriBaseId": "%SRCROOT%"}
+    assert where["region"]["startLine"] >= 1
+    (invocation,) = run["invocations"]
+    assert invocation["executionSuccessful"] is False
+    assert "missing.ecs" in invocation["toolExecutionNotifications"][0]["message"]["text"]
+
+
+def test_sarif_of_a_sound_text_has_no_results(call: Call) -> None:
+    file = str(resources.files("ecatspec.spec").joinpath("devices/reference.ecs"))
+    status, out, _ = call("check", file, "--sarif")
+    assert status == 0
+    (run,) = json.loads(out)["runs"]
+    assert run["results"] == []
+    assert run["invocations"][0]["executionSuccessful"] is True
+
+
+def test_check_gives_annotations(call: Call, tmp_path: Path) -> None:
+    file = bad_text(tmp_path)
+    status, out, _ = call("check", file, "--github")
+    assert status == 2
+    (line,) = out.splitlines()
+    assert re.match(rf"::error file={re.escape(file)},line=\d+,col=\d+,title=ECS\d+::", line)

@@ -23,6 +23,7 @@ from ecatspec.conformance.reports import REPORTS, judged
 from ecatspec.conformance.reports.json_report import SCHEMA, VERSION, json_schema
 from ecatspec.conformance.reports.text import WIDTH
 from ecatspec.conformance.verdict import Outcome, Result, SetUp, TraceLine, Verdict
+from ecatspec.spec.language.ir import Level
 from ecatspec.spec.language.load import load_standard
 
 PROTOCOL = load_standard()
@@ -436,6 +437,15 @@ def test_a_warning_is_no_failure_in_junit() -> None:
     case = case_of(junit(result(replace(FAIL, outcome=Outcome.WARNING))), "AL-08")
     assert case.find("failure") is None
     assert "warning: a change" in str(case.findtext("system-out"))
+
+
+def test_a_clause_that_allows_does_not_fail_in_junit() -> None:
+    root = junit(result(replace(FAIL, clauses=("AL-08", "AL-10"))))
+    assert PROTOCOL.clauses["AL-10"].level is Level.MAY
+    assert case_of(root, "AL-10").find("failure") is None
+    assert case_of(root, "AL-08").find("failure") is not None
+    lonely = junit(result(replace(CRASH, clauses=("AL-10",))))
+    assert case_of(lonely, "run").find("failure") is not None  # somewhere it has to be told
 
 
 def test_names_in_junit_are_unique() -> None:

@@ -15,6 +15,7 @@ from ecatspec.conformance.marks import plain, plural
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.conformance.version import version
+from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -84,7 +85,8 @@ def _whole(suite: ET.Element, device: str, result: Result, protocol: Protocol) -
     case = ET.SubElement(
         suite, "testcase", {"classname": _clean(f"{device}.{WHOLE}"), "name": WHOLE, "time": "0"}
     )
-    own = [f for f in result.findings() if protocol.clauses.keys().isdisjoint(f.verdict.clauses)]
+    binding = {clause.id for clause in protocol.clauses.values() if clause.level is Level.MUST}
+    own = [f for f in result.findings() if binding.isdisjoint(f.verdict.clauses)]
     blaming = [f for f in own if f.verdict.outcome in BLAMING]
     troubles = [f for f in own if f.verdict.outcome is Outcome.ERROR]
     if blaming:

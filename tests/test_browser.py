@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from ecatspec.conformance.diff.comparison import Comparison
 from ecatspec.conformance.diff.page import page as diff_page
@@ -142,7 +142,7 @@ def test_links_lead_from_findings_to_clauses_and_back(opened: Opened) -> None:
     page.get_by_role("searchbox").fill("no clause says this")
     page.locator("article").last.get_by_role("link", name="MBX-06").click()
     row = page.locator("#run-1-clause-MBX-06")
-    row.wait_for(state="visible")  # a row that was filtered away is shown again
+    expect(row).to_be_in_viewport()  # a row that was filtered away is shown again
     row.get_by_role("link", name="2").click()
     assert page.url.endswith("#run-1-finding-2")
 

@@ -1045,3 +1045,18 @@ def test_check_gives_annotations(call: Call, tmp_path: Path) -> None:
     assert status == 2
     (line,) = out.splitlines()
     assert re.match(rf"::error file={re.escape(file)},line=\d+,col=\d+,title=ECS\d+::", line)
+
+
+def test_progress_on_a_terminal_says_how_long_it_will_take(
+    call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ran(*_: object, progress: Callable[[int, int, str], None], **__: object) -> Result:
+        progress(5, 10, "sdo/1")
+        return result(Outcome.PASS)
+
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr(runner, "run_device", ran)
+    _, _, err = call("run", DEVICE)
+    assert "5/10" in err
+    assert re.search(r"(-:--:--|\d:\d\d:\d\d)", err)

@@ -25,6 +25,7 @@ from ecatspec.model.process_image import OUTPUTS
 from ecatspec.model.state import Event
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
+from ecatspec.model.words import typed_words
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, Literal, Name, SInt, Unary
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import width_of
@@ -837,3 +838,19 @@ def test_a_register_of_the_device_takes_no_write() -> None:
     before = esc.register("al_status")
     assert esc.main_write(status.address, bytes([8, 0])) == 0
     assert esc.register("al_status") == before
+
+
+@pytest.mark.parametrize(
+    ("expected", "words"),
+    [
+        (Pattern(), "any"),
+        (Pattern(lengths=(2, 2)), "any 2 bytes"),
+        (Pattern(lengths=(1, 4)), "any 1 to 4 bytes"),
+        (Pattern(lengths=(2, 2), content=b"\x40\x02"), "40 02"),
+        (Pattern(lengths=(2, 2), content=b"\x40\x02", mask=b"\x6f\x00"), "40/6F ??"),
+        (Pattern(lengths=(2, 2), content=b"\x40\x02", mask=b"\xff"), "40 ??"),
+        (Pattern(lengths=(1, 2), content=b"\x40\x02\x05"), "40 02 of 1 to 2 bytes"),
+    ],
+)
+def test_what_is_known_of_bytes_is_said(expected: Pattern, words: str) -> None:
+    assert typed_words(MODEL, Bytes(None), expected) == words

@@ -508,6 +508,7 @@ def test_the_page_tells_which_bytes_are_which_field() -> None:
         r'<th scope="row">index</th><td><mark>0x1000</mark></td>',
         said,
     )
+    assert "<td>6 to 7, bits 0 to 8</td>" in said
     assert '<td>5, bits 0 to 3</td><td><code>03</code></td><th scope="row">type</th>' in said
 
 

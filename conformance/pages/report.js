@@ -16,13 +16,13 @@ for (const form of document.querySelectorAll("form.filter")) {
   form.addEventListener("submit", (event) => event.preventDefault());
   form.hidden = false;
   filter();
-  // a link to a clause that is filtered away shows it again
-  window.addEventListener("hashchange", () => {
-    const row = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  // a link to a clause that is filtered away shows it again, before it leads there
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest("a[href^='#']");
+    const row = link && document.getElementById(decodeURIComponent(link.hash.slice(1)));
     if (row && row.hidden) {
       form.reset();
       filter();
-      row.scrollIntoView();
     }
   });
 }

@@ -198,10 +198,11 @@ def _place(offset: int, width: int) -> str:
     if not width:
         return "none"
     first, last = offset // _BYTE, (offset + width - 1) // _BYTE
+    place = str(first) if first == last else f"{first} to {last}"
     if offset % _BYTE or width % _BYTE:
         low, high = offset % _BYTE, offset % _BYTE + width - 1
-        return f"{first}, bit {low}" if low == high else f"{first}, bits {low} to {high}"
-    return str(first) if first == last else f"{first} to {last}"
+        return f"{place}, bit {low}" if low == high else f"{place}, bits {low} to {high}"
+    return place
 
 
 # --- what was covered -----------------------------------------------------------------------------

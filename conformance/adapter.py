@@ -75,6 +75,8 @@ class Description:
     """Local events, `machine.input` as in the texts, that `local` can make befall the device."""
     batch: bool = False
     """True: the adapter answers `read_all` quicker than single reads."""
+    power_cycles: bool = True
+    """False: `reset` may leave something of what was before, so nothing is blamed for sure."""
 
     def to_json(self) -> dict[str, object]:
         """Return the description as data for JSON, in a fixed order."""
@@ -88,6 +90,7 @@ class Description:
             "without": list(self.without),
             "locals": sorted(self.locals),
             "batch": self.batch,
+            "power_cycles": self.power_cycles,
         }
 
     @classmethod
@@ -111,6 +114,7 @@ class Description:
             without=_texts(data, "without"),
             locals=frozenset(_texts(data, "locals")),
             batch=_truth({"batch": False, **data}, "batch"),
+            power_cycles=_truth({"power_cycles": True, **data}, "power_cycles"),
         )
 
 

@@ -571,3 +571,19 @@ def test_every_finding_of_canopen_is_short() -> None:
     assert short
     # 4 lines of bring-up, two looks at the entry and its neighbours, two exchanges
     assert max(short.values()) <= 4 + 2 * 3 * 2 + 2 * 2, short
+
+
+def test_without_power_cycles_nothing_is_blamed_for_sure() -> None:
+    adapter = make("reference", {"fault": "refused_without_error"})
+    model = Model(load_device("reference"))
+    outcomes = {}
+    for sure in (True, False):
+        description = replace(adapter.describe(), power_cycles=sure)
+        runner = Runner(model, adapter, description)
+        cases = (c for c in all_cases(model, NO_LIMITS, "quick") if c.layer == "al")
+        verdicts = [runner.judge(case) for case in cases]
+        outcomes[sure] = {v.outcome for v in verdicts}
+    assert Outcome.FAIL in outcomes[True]
+    assert Outcome.FAIL not in outcomes[False]
+    (reason,) = {v.reason for v in verdicts if v.outcome is Outcome.WARNING}
+    assert "not power cycled" in reason

@@ -108,6 +108,7 @@ class WireAdapter:
             virtual_time=self._virtual,
             closed_dictionary=False,
             notes=() if self._power else (_REMEMBERED,),
+            power_cycles=bool(self._power),
         )
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:

@@ -176,10 +176,10 @@ def test_a_failure_explains_itself_once(
             "            source: facts 5.3, D-27",
             "  expected  sdo_abort:*",
             "*code 0x05030000 toggle_not_alternated",
-            "  observed  sdo_download_segment_response:*",
+            "  observed  >sdo_download_segment_response<:*",
+            "  trace  MainDevice  SubDevice",
+            "    0.000 ms  |---------->|  writes al_control: requested 2 PREOP*",
             f"  replay    ecatspec run tiny.ecs --dut {dut} --replay sdo/transfer/wrong_second_*",
-            "  trace",
-            "    0.000 ms  MainDevice  writes al_control: requested 2 PREOP*",
             "FAILED tiny::sdo::sdo/transfer/wrong_second_toggle - Failed: FAIL:*",
         ]
     )
@@ -209,7 +209,7 @@ def test_a_device_that_dies_fails_and_lives_again(desk: pytest.Pytester) -> None
         [
             "CRASH: *",
             "*observed  the device ended: killed by SIGABRT*",
-            "*MainDevice  sends sdo_up*",
+            "*|---------->|  sends sdo_up*",
         ]
     )
     assert len(devices(desk)) == 2  # the second after the first death

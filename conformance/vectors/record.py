@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
+import msgspec
+
 from ecatspec.conformance.session import AL, NOTHING, Session
 from ecatspec.generators.case import Happen
 from ecatspec.generators.vectors import (
@@ -221,6 +223,10 @@ class Recorder(Session):
         states = self._known_states()
         changed = {name: state for name, state in states.items() if self._states.get(name) != state}
         self._states |= changed
+        covers = self._recent_rules()
+        if draft.given is None and self.steps and not self.steps[-1].covers:
+            # what was looked at at once is what this has been waited for
+            self.steps[-1] = msgspec.structs.replace(self.steps[-1], covers=covers)
         self.steps.append(
             Step(
                 given=draft.given,
@@ -229,7 +235,7 @@ class Recorder(Session):
                 cycle=draft.cycle,
                 expect=draft.expect,
                 state=changed,
-                covers=self._recent_rules(),
+                covers=covers,
             )
         )
 

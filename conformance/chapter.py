@@ -25,7 +25,7 @@ def chapter(protocol: Protocol) -> str:
     for sheet in tables.values():
         kept = sheet if sheet.name == "pdos" else _own_rows(sheet, own)
         if kept.rows and (sheet.name not in _APART or sheet.name == "pdos"):
-            parts += [f"### {_capital(sheet.title)}", _markdown(kept)]
+            parts += [f"### {capital(sheet.title)}", markdown_table(kept)]
     parts += ["## Where the manual is wrong", *_section(tables.get("anomalies"))]
     parts += ["## What was chosen, and what stays open", _chosen(protocol)]
     parts += ["## What the protocol does not show", _unobservable(protocol)]
@@ -59,7 +59,7 @@ def _several(cell: object) -> tuple[str, ...]:
 
 
 def _section(sheet: Sheet | None) -> Iterator[str]:
-    yield "Nothing is recorded." if sheet is None else _markdown(sheet)
+    yield "Nothing is recorded." if sheet is None else markdown_table(sheet)
 
 
 def _chosen(protocol: Protocol) -> str:
@@ -72,7 +72,7 @@ def _chosen(protocol: Protocol) -> str:
             words = "; ".join(protocol.clauses[name].wording for name in cited.clauses)
             rows.append((choice.wording, way, words, cited.clauses))
     columns = ("point", "the device", "because the manual says", "clauses")
-    return _markdown(Sheet("chosen", "", columns, tuple(rows)))
+    return markdown_table(Sheet("chosen", "", columns, tuple(rows)))
 
 
 def _unobservable(protocol: Protocol) -> str:
@@ -81,10 +81,13 @@ def _unobservable(protocol: Protocol) -> str:
         for clause in protocol.clauses.values()
         if clause.level is Level.UNOBSERVABLE
     )
-    return _markdown(Sheet("unobservable", "", ("statement", "why", "source", "clauses"), rows))
+    return markdown_table(
+        Sheet("unobservable", "", ("statement", "why", "source", "clauses"), rows)
+    )
 
 
-def _markdown(sheet: Sheet) -> str:
+def markdown_table(sheet: Sheet) -> str:
+    """Give a sheet as a table of Markdown."""
     lines = [_line(sheet.columns), _line("---" for _ in sheet.columns)]
     lines += [_line(map(cell_words, row)) for row in sheet.rows]
     return "\n".join(lines)
@@ -94,5 +97,6 @@ def _line(cells: Iterator[str] | tuple[str, ...]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _capital(words: str) -> str:
+def capital(words: str) -> str:
+    """Begin with a capital, as titles do."""
     return words[:1].upper() + words[1:]

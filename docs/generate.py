@@ -1,22 +1,25 @@
-"""The only place that writes what is generated under docs/: chapters, and the table of swaps.
+"""The only place that writes what is generated under docs/: chapters, reference, table of swaps.
 
-`make docs` runs it. Tests compare the chapters with what it writes, and the digests of the table.
+`make docs` runs it. Tests compare the pages with what it writes, and the digests of the table.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
+from importlib import resources
 from pathlib import Path
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.chapter import chapter
 from ecatspec.conformance.files import write_whole
+from ecatspec.conformance.reference import grammar_page, standard_page
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import Finding, Outcome, Result
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
-from ecatspec.spec.language.load import device_names, load_device
+from ecatspec.spec import language
+from ecatspec.spec.language.load import device_names, load_device, standard_texts
 
 DOCS = Path(__file__).resolve().parent
 SHOWN = 3
@@ -28,12 +31,48 @@ def devices() -> tuple[str, ...]:
     return tuple(name for name in device_names() if load_device(name).manuals)
 
 
-def chapters() -> dict[Path, str]:
-    """Give the chapters by their files, and the page that lists them."""
-    pages = {DOCS / "devices" / f"{name}.md": chapter(load_device(name)) for name in devices()}
-    lines = ["# Devices", "", "Made by `make docs` from the texts in `spec/devices/`.", ""]
-    lines += [f"- [{load_device(name).wording}]({name}.md)" for name in devices()]
-    return {DOCS / "devices" / "README.md": "\n".join(lines) + "\n", **pages}
+def pages() -> dict[Path, str]:
+    """Give what is made in a moment, by its files: chapters, reference, and lists of pages."""
+    grammar = resources.files(language).joinpath("grammar.lark").read_text(encoding="utf-8")
+    standard = load_device("standard")
+    decisions = {file: _title(file) for file in sorted((DOCS / "decisions").glob("[0-9]*.md"))}
+    chapters = {DOCS / "devices" / f"{name}.md": chapter(load_device(name)) for name in devices()}
+    texts = {
+        DOCS / "standard" / f"{text.name}.md": standard_page(text, standard)
+        for text in standard_texts()
+    }
+    return {
+        DOCS / "grammar.md": grammar_page(grammar),
+        DOCS / "standard" / "README.md": _listed(
+            "The standard",
+            "Made by `make docs` from the texts in `spec/standard/`.",
+            {file.name: page.partition("\n")[0].removeprefix("# ") for file, page in texts.items()},
+        ),
+        DOCS / "devices" / "README.md": _listed(
+            "Devices",
+            "Made by `make docs` from the texts in `spec/devices/`.",
+            {f"{name}.md": load_device(name).wording for name in devices()},
+        ),
+        DOCS / "decisions" / "README.md": _listed(
+            "Decisions",
+            "What was asked, what was chosen, what was given up. `make docs` makes this list.",
+            {file.name: title for file, title in decisions.items()},
+        ),
+        **chapters,
+        **texts,
+    }
+
+
+def _title(file: Path) -> str:
+    return file.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+
+
+def _listed(title: str, about: str, names: dict[str, str]) -> str:
+    """Give the page that lists others; the last lines are for the site, which wants a tree."""
+    lines = [f"# {title}", "", about, ""]
+    lines += [f"- [{wording}]({file})" for file, wording in names.items()]
+    lines += ["", "```{toctree}", ":hidden:", "", *(n.removesuffix(".md") for n in names), "```"]
+    return "\n".join(lines) + "\n"
 
 
 def swapped(text: str, device: str) -> Result:
@@ -92,8 +131,8 @@ def _told(finding: Finding) -> str:
 
 def main() -> None:
     """Write all pages."""
-    (DOCS / "devices").mkdir(exist_ok=True)
-    for file, text in chapters().items():
+    for file, text in pages().items():
+        file.parent.mkdir(exist_ok=True)
         write_whole(file, text)
     write_whole(DOCS / "swaps.md", swaps())
 

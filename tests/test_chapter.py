@@ -29,8 +29,8 @@ def generator() -> ModuleType:
     return module
 
 
-def test_chapters_are_those_of_the_texts() -> None:
-    for file, text in generator().chapters().items():
+def test_pages_are_those_of_the_texts() -> None:
+    for file, text in generator().pages().items():
         assert file.read_text(encoding="utf-8") == text, f"{file}: run `make docs`"
 
 

@@ -42,10 +42,15 @@ def device_names() -> tuple[str, ...]:
     return tuple(sorted(file.name.removesuffix(".ecs") for file in _files("devices")))
 
 
+def standard_texts() -> tuple[SourceText, ...]:
+    """The texts of the standard as they are written, not yet put together."""
+    return tuple(_shipped("standard", file.name) for file in _files("standard"))
+
+
 @cache
 def load_standard() -> Protocol:
     """The standard as shipped; its checks are a matter of tests, not of every start."""
-    return _together(_standard_texts(), STANDARD)
+    return _together(standard_texts(), STANDARD)
 
 
 @cache
@@ -55,14 +60,14 @@ def load_device(name: str) -> Protocol:
         return load_standard()
     for file in _files("devices"):
         if file.name == f"{name}.ecs":
-            return _together((*_standard_texts(), _shipped("devices", file.name)), name)
+            return _together((*standard_texts(), _shipped("devices", file.name)), name)
     raise UnknownDevice(name)
 
 
 def load_file(path: str | Path) -> Protocol:
     """A text of one's own: a device on the shipped standard, or in the place of a shipped text."""
     text = parse_text(decode(Path(path).read_bytes(), str(path)), str(path))
-    shipped = _standard_texts()
+    shipped = standard_texts()
     if text.extends is not None:
         return compile_texts((*shipped, text), text.name)
     names = [other.name for other in shipped]
@@ -140,7 +145,3 @@ def _shipped(folder: str, name: str) -> SourceText:
     raw = resources.files("ecatspec.spec").joinpath(folder, name).read_bytes()
     file = f"spec/{folder}/{name}"
     return kept(f"{folder}-{name}", raw, lambda: parse_text(decode(raw, file), file))
-
-
-def _standard_texts() -> tuple[SourceText, ...]:
-    return tuple(_shipped("standard", file.name) for file in _files("standard"))

@@ -111,14 +111,24 @@ def pretty(text: SourceText) -> str:
     head = f'{"faults" if text.faults else "standard"} {text.name} "{text.wording}"'
     if text.extends is not None:
         head = f'device {text.name} extends {text.extends} "{text.wording}"'
-    blocks = [head]
-    for kind, group in groupby(text.declarations, type):
+    return "\n\n".join((head, *pretty_blocks(text.declarations))) + "\n"
+
+
+def pretty_blocks(declarations: Iterable[Declaration]) -> list[str]:
+    """Declarations as they are written; those of one line under each other."""
+    blocks = []
+    for kind, group in groupby(declarations, type):
         members = list(group)
         if issubclass(kind, _Line):
             blocks.append("\n".join(_lines(members)))
         else:
             blocks.extend("\n".join(_block(member)) for member in members)
-    return "\n\n".join(blocks) + "\n"
+    return blocks
+
+
+def pretty_rule(row: Rule | Gap) -> str:
+    """One rule or gap of a machine."""
+    return "\n".join(_rule(row))
 
 
 # --- expressions ---------------------------------------------------------------------------------

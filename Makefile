@@ -11,7 +11,7 @@ SOURCES := pyproject.toml README.md LICENSE NOTICE $(shell find spec model gener
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name '*.h' -o -name '*.html' \
   -o -name '*.css' -o -name '*.js' -o -name '*.json' -o -name py.typed \) -print)
 
-.PHONY: help demo test lint format docs mutants bench clean
+.PHONY: help demo test lint format docs site mutants bench clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -46,6 +46,10 @@ format: $(VENV)/developed  ## format the code and repair what can be repaired
 docs: $(VENV)/installed  ## write the chapters and tables under docs/ anew (some minutes)
 	$(BIN)/python docs/generate.py
 
+site: $(VENV)/developed  ## build the documentation as HTML in site/, without a network
+	$(BIN)/python -m sphinx -q -W -j auto -c docs . site
+	@echo 'open site/index.html'
+
 mutants: $(VENV)/installed  ## measure what the suites kill, and write docs/mutants.md (hours)
 	$(BIN)/python docs/mutants.py
 
@@ -57,7 +61,7 @@ bench: $(VENV)/installed  ## measure
 	$(BIN)/python bench/wire.py
 
 clean:  ## remove everything made here
-	rm -rf $(VENV) build dist ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/created:
@@ -77,5 +81,5 @@ $(VENV)/installed: $(VENV)/created $(SOURCES)
 # `--group` needs pip 25.1, which many Pythons do not bring.
 $(VENV)/developed: $(VENV)/installed pyproject.toml
 	$(PIP) install --upgrade 'pip>=25.1'
-	$(PIP) install --group dev
+	$(PIP) install --group dev --group docs
 	@touch $@

@@ -135,9 +135,28 @@ def _reports(command: Callable[..., int]) -> Callable[..., int]:
     return command
 
 
+_DUT: Final = click.option(
+    "--dut", default="model", show_default=True, help="How to reach the device."
+)
+_SEED: Final = click.option(
+    "--seed", type=int, default=0, show_default=True, help="Seed of the random part."
+)
+_MAILBOX: Final = click.option(
+    "--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN."
+)
+_HANG_TIMEOUT: Final = click.option(
+    "--hang-timeout",
+    type=float,
+    callback=_seconds,
+    metavar="SECONDS",
+    help="Without an answer for so long the device counts as hung.",
+)
+"""Options that several commands have."""
+
+
 @cli.command(epilog=_example("run"))
 @click.argument("device")
-@click.option("--dut", default="model", show_default=True, help="How to reach the device.")
+@_DUT
 @_reports
 @click.option(
     "--depth",
@@ -146,8 +165,8 @@ def _reports(command: Callable[..., int]) -> Callable[..., int]:
     show_default=True,
     help="quick: one entry of each kind. exhaustive: complete suites for one state more, and all.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
-@click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
+@_SEED
+@_MAILBOX
 @click.option("--only", default="", metavar="LAYER,...", help="Only the cases of these layers.")
 @click.option("--replay", default="", metavar="CASE", help="Run only this case: a name or a token.")
 @click.option("--results", metavar="FILE", help="Keep the run here, not in the user's folder.")
@@ -162,13 +181,7 @@ def _reports(command: Callable[..., int]) -> Callable[..., int]:
     help="Processes that share the cases, each with a device of its own.",
 )
 @click.option("--cluster", default="", metavar="ADDRESS", help="Share the cases by a dask cluster.")
-@click.option(
-    "--hang-timeout",
-    type=float,
-    callback=_seconds,
-    metavar="SECONDS",
-    help="Without an answer for so long the device counts as hung.",
-)
+@_HANG_TIMEOUT
 def run(
     *,
     device: str,
@@ -614,8 +627,8 @@ def diff(
     metavar="NAME=WAY",
     help="The device goes this way where its text leaves a choice open, or meets a condition.",
 )
-@click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of the random part.")
+@_MAILBOX
+@_SEED
 def export(
     *,
     device: str,
@@ -663,15 +676,9 @@ def _way(choice: str) -> tuple[str, str]:
 
 @cli.command(epilog=_example("replay"))
 @click.argument("file")
-@click.option("--dut", default="model", show_default=True, help="How to reach the device.")
+@_DUT
 @_reports
-@click.option(
-    "--hang-timeout",
-    type=float,
-    callback=_seconds,
-    metavar="SECONDS",
-    help="Without an answer for so long the device counts as hung.",
-)
+@_HANG_TIMEOUT
 def replay(*, file: str, dut: str, hang_timeout: float, **reports: Any) -> int:  # noqa: ANN401
     """Play the test vectors of FILE (`export --format json` made it) on a device.
 
@@ -725,7 +732,7 @@ def schema() -> int:
 @click.argument("device")
 @click.option("--iface", required=True, metavar="NAME", help="The network interface to answer on.")
 @click.option("--fault", metavar="NAME", help="Plant this fault: ecatspec show DEVICE faults.")
-@click.option("--mailbox", default="", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
+@_MAILBOX
 @click.option(
     "--count",
     type=click.IntRange(1, 64),

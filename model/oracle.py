@@ -820,8 +820,8 @@ class Oracle:
             self.candidates = {
                 candidate.expecting(tuple(inputs.values())): () for candidate in self.candidates
             }
-            # until something is seen nothing more is known: to serve the inputs would not tell
-            self._grown = Grown(self.candidates, self.candidates, time, float("inf"))
+            # to serve the inputs at once again would not tell more
+            self._grown = Grown(self.candidates, self.candidates, time, time + 1)
             return self.candidates
         self._grown = found if time >= 0 else None
         return found.found

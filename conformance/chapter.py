@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.devices import Sheet, cell_words, sheets
+from ecatspec.conformance.sheets import Sheet, markdown_table
+from ecatspec.conformance.shown import sheets
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
@@ -84,17 +85,6 @@ def _unobservable(protocol: Protocol) -> str:
     return markdown_table(
         Sheet("unobservable", "", ("statement", "why", "source", "clauses"), rows)
     )
-
-
-def markdown_table(sheet: Sheet) -> str:
-    """Give a sheet as a table of Markdown."""
-    lines = [_line(sheet.columns), _line("---" for _ in sheet.columns)]
-    lines += [_line(map(cell_words, row)) for row in sheet.rows]
-    return "\n".join(lines)
-
-
-def _line(cells: Iterator[str] | tuple[str, ...]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def capital(words: str) -> str:

@@ -15,18 +15,18 @@ from contextlib import ExitStack, contextmanager, suppress
 from io import TextIOWrapper
 from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
-import rich_click as click
+import click
 
 from ecatspec.conformance.version import version
-from ecatspec.generators.case import DEPTHS
+from ecatspec.generators.depths import DEPTHS
 from ecatspec.generators.formats import FORMATS
 from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from ecatspec.conformance.devices import Sheet
     from ecatspec.conformance.results import Basis, Journal
+    from ecatspec.conformance.sheets import Sheet
     from ecatspec.conformance.trace import Trace
     from ecatspec.conformance.verdict import Result
     from ecatspec.spec.language.ir import Protocol
@@ -59,6 +59,7 @@ EXAMPLES: Final = {
     "replay": "ecatspec replay vectors.json --dut canopen",
     "adapters": "ecatspec adapters --include",
     "vectors": "ecatspec vectors lint vectors.json",
+    "schema": "ecatspec schema report",
     "simulate": "ecatspec simulate kollmorgen-akd --iface veth1",
 }
 
@@ -69,8 +70,6 @@ Exit status: 0 conforms, 1 does not conform, 2 the input or the set-up is wrong.
 \b
 Examples:
 """ + "\n".join(f"  {example}" for example in EXAMPLES.values())
-
-click.rich_click.TEXT_MARKUP = None
 
 
 def _example(command: str) -> str:
@@ -198,7 +197,9 @@ def run(
     hang_timeout: float,
     **reports: Any,  # noqa: ANN401  the options of `_reports`
 ) -> int:
-    """Test an implementation against the text of DEVICE (a name or a path to a .ecs file).
+    """Test an implementation against the text of DEVICE.
+
+    DEVICE is a name, or a path to a .ecs file.
 
     The device under test is the virtual SubDevice of the text (--dut model), a shared library
     (--dut lib:PATH), a program (--dut "exec:COMMAND ARGUMENTS"), or what else `ecatspec adapters`
@@ -241,8 +242,8 @@ def run(
 def adapters(*, as_json: bool, include: bool) -> int:
     """List the ways to reach a device under test, as --dut takes them."""
     from ecatspec.conformance.adapters import ADAPTERS
-    from ecatspec.conformance.devices import Sheet
     from ecatspec.conformance.libraries import HEADERS
+    from ecatspec.conformance.sheets import Sheet
 
     if as_json:
         listed = [
@@ -264,10 +265,11 @@ def adapters(*, as_json: bool, include: bool) -> int:
 @click.argument("second", metavar="RUN2")
 @click.option("--json", "as_json", is_flag=True, help="Give the comparison as JSON.")
 def compare(*, first: str, second: str, as_json: bool) -> int:
-    """Tell what became better or worse from RUN1 to RUN2, by case, finding and clause.
+    """Tell what became better or worse from RUN1 to RUN2.
 
-    Both are results files (`run --results FILE`), or `last` and `previous`: the newest run of this
-    user, and the one before of the same device. Exit status: 0 nothing is worse, 1 something is.
+    It goes by case, finding and clause. Both are results files (`run --results FILE`), or `last`
+    and `previous`: the newest run of this user, and the one before of the same device. Exit
+    status: 0 nothing is worse, 1 something is.
     """
     from ecatspec.conformance import compare as comparing
     from ecatspec.conformance import record, results
@@ -288,7 +290,10 @@ def compare(*, first: str, second: str, as_json: bool) -> int:
 @click.option("--device", default="standard", show_default=True, help="Name or path of a text.")
 @_reports
 def monitor(*, file: str, device: str, **reports: Any) -> int:  # noqa: ANN401  as for run
-    """Judge FILE, a capture (pcap or pcapng) of real traffic, one report for each SubDevice."""
+    """Judge FILE, a capture (pcap or pcapng) of real traffic.
+
+    There is one report for each SubDevice.
+    """
     from pathlib import Path
 
     from ecatspec.conformance.capture.transactions import CaptureError
@@ -319,7 +324,10 @@ def monitor(*, file: str, device: str, **reports: Any) -> int:  # noqa: ANN401  
 @click.option("--sarif", "form", flag_value="sarif", help="Give them as SARIF 2.1.0.")
 @click.option("--github", "form", flag_value="github", help="Give them as annotations of GitHub.")
 def check(*, files: tuple[str, ...], form: str | None) -> int:
-    """Give the diagnostics of texts: file:line:column: ECSnnn what is wrong; what to do."""
+    """Check texts, and say what is wrong with them.
+
+    A line for each fault: file:line:column: ECSnnn what is wrong; what to do.
+    """
     from ecatspec.conformance.checked import CHECKS, Checked
     from ecatspec.conformance.devices import UserError, load
 
@@ -350,11 +358,13 @@ def check(*, files: tuple[str, ...], form: str | None) -> int:
     help="Draw the MACHINE instead of its tables, or give the chapter of DEVICE (markdown).",
 )
 def show(*, device: str, machine: str | None, as_json: bool, form: str | None) -> int:
-    """Show DEVICE (a name or a path to a .ecs file) as tables, or the rules of one MACHINE.
+    """Show DEVICE as tables, or the rules of one MACHINE.
 
+    DEVICE is a name, or a path to a .ecs file.
     `ecatspec show DEVICE faults` lists the faults that can be planted into its virtual SubDevice.
     """
-    from ecatspec.conformance.devices import fault_sheet, load, machine_sheets, sheets
+    from ecatspec.conformance.devices import load
+    from ecatspec.conformance.shown import fault_sheet, machine_sheets, sheets
 
     if form is not None:
         return _drawn(device, machine, form, as_json=as_json)
@@ -390,7 +400,7 @@ def show(*, device: str, machine: str | None, as_json: bool, form: str | None) -
 @click.option("--csv", "form", flag_value="csv", help="Give the clauses as CSV.")
 @click.option("--reqif", "form", flag_value="reqif", help="Give the clauses as ReqIF.")
 def trace(*, device: str | None, missing: bool, form: str | None) -> int:
-    """Follow the clauses of DEVICE to their cases, and to what the last run of them showed.
+    """Follow the clauses of DEVICE to their cases and the last run.
 
     Without DEVICE the totals of all devices that have a manual. A device of which no run is on
     record is run once as the virtual SubDevice of its text.
@@ -477,7 +487,7 @@ def _reqif() -> Callable[[Sequence[Trace]], str]:
 @click.argument("device", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Give the proofs as JSON.")
 def prove(*, device: str | None, as_json: bool) -> int:
-    """Prove of the text of DEVICE that it is whole and without contradiction.
+    """Prove the text of DEVICE whole, and free of contradictions.
 
     No two rules for one input, a rule for every input, properties that hold, states that are
     reached. Without DEVICE the standard and all devices.
@@ -579,8 +589,9 @@ def diff(
     form: str | None,
     duts: tuple[str, ...],
 ) -> int:
-    """Tell what A and B do differently, each difference with its shortest witness.
+    """Tell what A and B do differently.
 
+    Each difference comes with its shortest witness.
     A and B are devices, `standard`, texts, or texts of a git revision (FILE@REVISION). With --dut X
     --dut Y both devices get the stimuli of the suite of A, and only differences are told.
     """
@@ -640,8 +651,9 @@ def export(
     mailbox: str,
     seed: int,
 ) -> int:
-    """Write the tests of DEVICE (a name or a path to a .ecs file) as test vectors.
+    """Write the tests of DEVICE as test vectors.
 
+    DEVICE is a name, or a path to a .ecs file.
     Who has no ecatspec can play them: a firmware test in C, another language, a person. The same
     call gives the same bytes.
     """
@@ -680,9 +692,10 @@ def _way(choice: str) -> tuple[str, str]:
 @_reports
 @_HANG_TIMEOUT
 def replay(*, file: str, dut: str, hang_timeout: float, **reports: Any) -> int:  # noqa: ANN401
-    """Play the test vectors of FILE (`export --format json` made it) on a device.
+    """Play the test vectors of FILE on a device.
 
-    The verdicts are those of `run`. The device under test is named as there.
+    FILE was made by `export --format json`. The verdicts are those of `run`. The device under test
+    is named as there.
     """
     from pathlib import Path
 
@@ -719,10 +732,14 @@ def lint(*, file: str) -> int:
     return DOES_NOT_CONFORM if found.count else CONFORMS
 
 
-@vectors.command(epilog="Example: ecatspec vectors schema > vectors.schema.json")
-def schema() -> int:
-    """Give the JSON Schema of test vectors."""
-    from ecatspec.generators.vectors import json_schema
+@cli.command(epilog=_example("schema"))
+@click.argument("of", type=click.Choice(("report", "vectors")))
+def schema(*, of: str) -> int:
+    """Give the JSON Schema of reports, or of test vectors."""
+    if of == "report":
+        from ecatspec.conformance.reports.json_report import json_schema
+    else:
+        from ecatspec.generators.vectors import json_schema
 
     _print(json.dumps(json_schema(), indent=2, sort_keys=True) + "\n")
     return CONFORMS
@@ -754,7 +771,7 @@ def simulate(
     count: int,
     virtual_time: bool,
 ) -> int:
-    """Answer a MainDevice as the virtual SubDevice of DEVICE, on a network interface (Linux).
+    """Answer a MainDevice as DEVICE, on a network interface (Linux).
 
     It needs the right CAP_NET_RAW. SIGHUP is a power cycle; Ctrl-C or SIGTERM ends it, with exit
     status 0.
@@ -888,28 +905,11 @@ def _drawn(device: str, machine: str | None, form: str, *, as_json: bool) -> int
 
 def _table(sheet: Sheet) -> str:
     """Give a table as text that fits the terminal."""
-    import io
     import shutil
 
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+    from ecatspec.conformance.sheets import text_table
 
-    from ecatspec.conformance.devices import cell_words
-
-    width = shutil.get_terminal_size((_PIPE_WIDTH, 0)).columns
-    out = io.StringIO()
-    console = Console(file=out, width=max(width, 40), color_system=None, legacy_windows=False)
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0), show_edge=False)
-    for position, column in enumerate(sheet.columns):
-        numbers = all(isinstance(row[position], int) for row in sheet.rows)
-        table.add_column(column, overflow="fold", justify="right" if numbers else "left")
-    for row in sheet.rows:
-        table.add_row(*(Text(cell_words(cell)) for cell in row))
-    console.print(table)
-    lines = (line.rstrip() for line in out.getvalue().splitlines())
-    return f"\n{sheet.title}\n\n" + "".join(f"{line}\n" for line in lines if line)
+    return text_table(sheet, shutil.get_terminal_size((_PIPE_WIDTH, 0)).columns)
 
 
 def _print_json(schema: str, data: dict[str, object]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.devices import Sheet
+from ecatspec.conformance.sheets import Sheet
 from ecatspec.conformance.verdict import Outcome
 
 if TYPE_CHECKING:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.devices import Sheet
+from ecatspec.conformance.sheets import Sheet
 from ecatspec.generators.mutants import Operator
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.conformance.devices import Cell
+    from ecatspec.conformance.sheets import Cell
     from ecatspec.generators.complete.faults import Kills
     from ecatspec.generators.mutants import Mutant
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.devices import Sheet
+from ecatspec.conformance.sheets import Sheet
 from ecatspec.model.obligations import WORDING, Finding, Kind, Status
 from ecatspec.spec.language.load import device_names, load_device
 from ecatspec.spec.language.overlap import STANDARD

@@ -6,8 +6,8 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.chapter import capital, markdown_table
-from ecatspec.conformance.devices import Sheet
+from ecatspec.conformance.chapter import capital
+from ecatspec.conformance.sheets import Sheet, markdown_table
 from ecatspec.spec.language.ir import (
     Choice,
     Clause,

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.devices import Sheet
 from ecatspec.conformance.exercise import Exercise
+from ecatspec.conformance.sheets import Sheet
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases

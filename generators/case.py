@@ -144,8 +144,6 @@ class Limits:
 
 
 NO_LIMITS = Limits()
-DEPTHS = ("quick", "default", "exhaustive")
-"""How much a run tries."""
 
 
 @dataclass(frozen=True, slots=True)

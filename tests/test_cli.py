@@ -23,13 +23,14 @@ from click.testing import CliRunner
 from ecatspec.conformance import cli, monitor, mutate, record, runner
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import HANG_TIMEOUT
-from ecatspec.conformance.devices import machine_sheets, sheets
 from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
+from ecatspec.conformance.shown import machine_sheets, sheets
 from ecatspec.conformance.vectors import replay
 from ecatspec.conformance.vectors.record import Recorder, RestlessError
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.generators.case import DEPTHS, Case
+from ecatspec.generators.case import Case
 from ecatspec.generators.complete.faults import Kills
+from ecatspec.generators.depths import DEPTHS
 from ecatspec.generators.formats import FORMATS, Format
 from ecatspec.generators.mutants import Mutant, Operator
 from ecatspec.generators.suite import all_cases
@@ -147,6 +148,8 @@ def test_the_help_of_all_shows_all_examples() -> None:
     shown = CliRunner().invoke(cli.cli, ["--help"])
     assert shown.exit_code == 0
     assert all(example in shown.output for example in cli.EXAMPLES.values())
+    commands = shown.output.partition("Commands:")[2]
+    assert "..." not in commands, "a summary is too long for a line of 80 columns"
 
 
 def test_no_command_is_no_success(call: Call) -> None:
@@ -198,6 +201,7 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
         (["run", DEVICE, "--hang-timeout", "nan"], "nan"),
         (["run", DEVICE, "--hang-timeout", "inf"], "inf"),
         (["run", "reference", "--replay", "al/request_PREOP/request_INI"], "request_INIT'?"),
+        (["run", "reference", "--replay", "zzz"], "for instance 'al/"),
         (["run", "reference", "--replay", "case.x"], "damaged; copy the whole token"),
         (["mutate"], "DEVICE"),
         (["mutate", "kolmorgen-akd"], "did you mean `kollmorgen-akd`?"),
@@ -852,9 +856,12 @@ def test_no_binary_on_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) ->
     assert_refused(call("export", "reference", "--format", "json"), "-o FILE")
 
 
-def test_the_schema_of_vectors(call: Call) -> None:
-    status, out, _ = call("vectors", "schema")
-    shipped = resources.files("ecatspec.generators").joinpath("vectors.schema.json")
+@pytest.mark.parametrize(
+    ("of", "package"), [("vectors", "generators"), ("report", "conformance.reports")]
+)
+def test_schemas(call: Call, of: str, package: str) -> None:
+    status, out, _ = call("schema", of)
+    shipped = resources.files(f"ecatspec.{package}").joinpath(f"{of}.schema.json")
     assert (status, out) == (0, shipped.read_text("utf-8"))
 
 
@@ -925,8 +932,9 @@ def test_nothing_heavy_is_imported_for_the_help() -> None:
     code = """
         import sys
         from ecatspec.conformance import cli
-        assert cli.main(["--version"]) == 0
-        heavy = {"lark", "hypothesis", "dpkt", "canopen", "z3", "ecatspec.conformance.runner"}
+        assert cli.main(["--help"]) == 0
+        heavy = {"lark", "rich", "hypothesis", "dpkt", "canopen", "z3", "importlib.metadata"}
+        heavy |= {"ecatspec.conformance.runner", "ecatspec.generators.case"}
         print(sorted(heavy & set(sys.modules)))
     """
     done = subprocess.run(

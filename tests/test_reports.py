@@ -352,7 +352,7 @@ def test_the_schema_of_json_is_shipped() -> None:
     shipped = resources.files("ecatspec.conformance.reports").joinpath("report.schema.json")
     wanted = json.dumps(json_schema(), indent=2, sort_keys=True) + "\n"
     assert shipped.read_text("utf-8") == wanted, (
-        "make it again: print json.dumps(json_report.json_schema(), indent=2, sort_keys=True)"
+        "make it again: ecatspec schema report > conformance/reports/report.schema.json"
     )
     jsonschema.Draft202012Validator.check_schema(json_schema())
 

@@ -324,7 +324,7 @@ def validator() -> jsonschema.Draft202012Validator:
 def test_the_schema_is_shipped() -> None:
     shipped = resources.files("ecatspec.generators").joinpath("vectors.schema.json")
     assert json.loads(shipped.read_text("utf-8")) == json_schema(), (
-        "make it again: ecatspec vectors schema > generators/vectors.schema.json"
+        "make it again: ecatspec schema vectors > generators/vectors.schema.json"
     )
     jsonschema.Draft202012Validator.check_schema(json_schema())
 

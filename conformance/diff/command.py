@@ -17,7 +17,7 @@ from ecatspec.conformance.files import write_whole
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from ecatspec.conformance.devices import Sheet
+    from ecatspec.conformance.sheets import Sheet
 
 _MARKDOWN = "markdown"
 _TWO = 2

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.devices import Sheet, UserError, load
+from ecatspec.conformance.devices import UserError, load
 from ecatspec.conformance.runner import Runner, limits_of
+from ecatspec.conformance.sheets import Sheet
 from ecatspec.conformance.verdict import Outcome, TraceLine
 from ecatspec.generators.case import Limits
 from ecatspec.generators.suite import all_cases

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Final
 
 from markupsafe import Markup
 
-from ecatspec.conformance.devices import cell_words
 from ecatspec.conformance.diff.report import headline, sheets
 from ecatspec.conformance.drawings.svg import drawing
 from ecatspec.conformance.pages import render
+from ecatspec.conformance.sheets import cell_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.conformance.devices import Sheet
     from ecatspec.conformance.diff.behaviour import Behaviour
     from ecatspec.conformance.diff.comparison import Comparison
+    from ecatspec.conformance.sheets import Sheet
 
 MARK: Final = "odd"
 """The CSS class of rules that decide about a difference."""

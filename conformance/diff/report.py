@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, TypeAlias
 
-from ecatspec.conformance.devices import Sheet, cell_words, nearest
+from ecatspec.conformance.devices import nearest
+from ecatspec.conformance.sheets import Sheet, cell_words
 from ecatspec.model.compared import Effect
 from ecatspec.model.facts import TITLES, Section
 

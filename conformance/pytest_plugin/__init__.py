@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import pytest
 
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
-from ecatspec.generators.case import DEPTHS
+from ecatspec.generators.depths import DEPTHS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

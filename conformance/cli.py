@@ -494,8 +494,8 @@ def prove(*, device: str | None, as_json: bool) -> int:
     """
     from ecatspec.conformance import prove as proofs
     from ecatspec.conformance.devices import load
+    from ecatspec.spec.language.ir import STANDARD
     from ecatspec.spec.language.load import device_names
-    from ecatspec.spec.language.overlap import STANDARD
 
     protocols = {name: load(name) for name in ([device] if device else [STANDARD, *device_names()])}
     try:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.sheets import Sheet
 from ecatspec.model.obligations import WORDING, Finding, Kind, Status
+from ecatspec.spec.language.ir import STANDARD
 from ecatspec.spec.language.load import device_names, load_device
-from ecatspec.spec.language.overlap import STANDARD
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping

@@ -28,6 +28,7 @@ from ecatspec.model.terms import (
     within,
 )
 from ecatspec.spec.language.ir import (
+    STANDARD,
     Access,
     AnyValue,
     Binary,
@@ -44,7 +45,6 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
-from ecatspec.spec.language.overlap import STANDARD
 from ecatspec.spec.language.pretty import pretty_expression
 from ecatspec.spec.language.scope import (
     EDGES,

@@ -7,9 +7,8 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from ecatspec.model.compiled import rows_of
-from ecatspec.spec.language.ir import NOWHERE, Extend, Remove, Replace, Span
+from ecatspec.spec.language.ir import NOWHERE, STANDARD, Extend, Remove, Replace, Span
 from ecatspec.spec.language.load import load_standard
-from ecatspec.spec.language.overlap import STANDARD
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

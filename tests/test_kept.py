@@ -8,11 +8,25 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.spec.language import load
+from ecatspec.spec.language.diagnostics import SpecError
 from ecatspec.spec.language.kept import folder, kept
 from ecatspec.spec.language.parse import decode, parse_text
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from ecatspec.spec.language.ir import Protocol
+
+TEXT = """
+device mine extends standard "first"
+
+manual "a manual" "its edition" claims MINE-001 .. MINE-001
+
+clause MINE-C1 must "a limit" source "1" claims [MINE-001]
+
+objects
+  0x2000 : 0 limit u16 rw range 10 .. 1000 = 100 [MINE-C1]
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -88,3 +102,64 @@ def test_a_kept_text_is_the_text(part: str) -> None:
         for _ in range(2):
             load._shipped.cache_clear()  # noqa: SLF001  another start
             assert load._shipped(part, file.name) == parsed  # noqa: SLF001
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The files that were really compiled."""
+    files: list[str] = []
+    compiling = load._compiled  # noqa: SLF001
+
+    def watched(raw: bytes, file: str) -> Protocol:
+        files.append(file)
+        return compiling(raw, file)
+
+    monkeypatch.setattr(load, "_compiled", watched)
+    return files
+
+
+def test_a_sound_text_is_checked_once(tmp_path: Path, compiled: list[str]) -> None:
+    file = tmp_path / "mine.ecs"
+    file.write_text(TEXT)
+    first = load.load_file(file)
+    assert load.load_file(file) == first
+    assert compiled == [str(file)]
+    file.write_text(TEXT.replace("first", "second"))
+    assert load.load_file(file).wording == "second"
+    assert compiled == [str(file)] * 2
+
+
+def test_a_text_is_checked_again_on_another_standard(
+    tmp_path: Path, compiled: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "mine.ecs"
+    file.write_text(TEXT)
+    load.load_file(file)
+    monkeypatch.setattr(load, "_shipped_bytes", lambda: b"other texts")
+    load.load_file(file)
+    assert len(compiled) == 2
+
+
+def test_a_copy_elsewhere_tells_its_own_places(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    for file in (tmp_path / "mine.ecs", tmp_path / "folder" / "mine.ecs"):
+        file.write_text(TEXT)
+        (clause,) = (c for c in load.load_file(file).clauses.values() if c.id == "MINE-C1")
+        assert clause.at.file == str(file)
+
+
+def test_a_wrong_text_is_wrong_each_time(tmp_path: Path, compiled: list[str]) -> None:
+    file = tmp_path / "mine.ecs"
+    file.write_text(TEXT.replace("MINE-C1 must", "MINE-C1 perhaps"))
+    for _ in range(2):
+        with pytest.raises(SpecError):
+            load.load_file(file)
+    assert len(compiled) == 2
+
+
+def test_a_kept_device_is_the_device() -> None:
+    for _ in range(2):
+        load.load_device.cache_clear()  # another start
+        kept_device = load.load_device("reference-drive")
+    assert kept_device == load._device("reference-drive")  # noqa: SLF001
+    assert kept_device.digest == load._device("reference-drive").digest  # noqa: SLF001

@@ -25,6 +25,8 @@ class Span:
 
 
 NOWHERE = Span("<built in>", 0, 0)
+STANDARD = "standard"
+"""The name of the Protocol that belongs to no device."""
 
 
 class Level(StrEnum):

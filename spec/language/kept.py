@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import pickle
 import tempfile
 from contextlib import suppress
+from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,8 +53,23 @@ def kept(name: str, source: bytes, make: Callable[[], _T]) -> _T:
             return found
     made = make()
     with suppress(OSError):
-        _write(file, pickle.dumps((key, made), pickle.HIGHEST_PROTOCOL))
+        _write(file, _pickled((key, made)))
     return made
+
+
+class _Pickler(pickle.Pickler):
+    """Takes a dataclass as the call that makes it: so it comes back in half the time."""
+
+    def reducer_override(self, value: object) -> Any:  # noqa: ANN401  what pickle defines
+        if is_dataclass(value) and not isinstance(value, type):
+            return type(value), tuple(getattr(value, each.name) for each in fields(value))
+        return NotImplemented
+
+
+def _pickled(value: object) -> bytes:
+    file = io.BytesIO()
+    _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(value)
+    return file.getvalue()
 
 
 def _write(file: Path, data: bytes) -> None:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import difflib
 import hashlib
+import os
 from dataclasses import replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ecatspec.spec.language.check import check_protocol, check_words
-from ecatspec.spec.language.check_texts import check_texts
 from ecatspec.spec.language.diagnostics import SpecError
-from ecatspec.spec.language.ir import Fault
+from ecatspec.spec.language.ir import STANDARD, Fault
 from ecatspec.spec.language.kept import kept
 from ecatspec.spec.language.merge import merge_device, merge_standard, with_fault
-from ecatspec.spec.language.overlap import STANDARD
-from ecatspec.spec.language.parse import decode, parse_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,7 +47,7 @@ def standard_texts() -> tuple[SourceText, ...]:
 @cache
 def load_standard() -> Protocol:
     """The standard as shipped; its checks are a matter of tests, not of every start."""
-    return _together(standard_texts(), STANDARD)
+    return kept(STANDARD, _shipped_bytes(), lambda: _together(standard_texts(), STANDARD))
 
 
 @cache
@@ -60,13 +57,28 @@ def load_device(name: str) -> Protocol:
         return load_standard()
     for file in _files("devices"):
         if file.name == f"{name}.ecs":
-            return _together((*standard_texts(), _shipped("devices", file.name)), name)
+            source = _shipped_bytes() + _bytes("devices", file.name)
+            return kept(f"device-{name}", source, lambda: _device(name))
     raise UnknownDevice(name)
 
 
+def _device(name: str) -> Protocol:
+    return _together((*standard_texts(), _shipped("devices", f"{name}.ecs")), name)
+
+
 def load_file(path: str | Path) -> Protocol:
-    """A text of one's own: a device on the shipped standard, or in the place of a shipped text."""
-    text = parse_text(decode(Path(path).read_bytes(), str(path)), str(path))
+    """A text of one's own: a device on the shipped standard, or in the place of a shipped text.
+
+    A text that was found sound is not checked again while it and the shipped ones stay as they are.
+    """
+    raw = Path(path).read_bytes()
+    source = _shipped_bytes() + os.fsencode(path) + b"\0" + raw
+    name = hashlib.sha256(os.fsencode(Path(path).name)).hexdigest()[:16]
+    return kept(f"own-{name}", source, lambda: _compiled(raw, str(path)))
+
+
+def _compiled(raw: bytes, file: str) -> Protocol:
+    text = _parsed(raw, file)
     shipped = standard_texts()
     if text.extends is not None:
         return compile_texts((*shipped, text), text.name)
@@ -102,6 +114,10 @@ def compile_texts(texts: Sequence[SourceText], name: str | None = None) -> Proto
 
     Without a name the only device text is taken, if there is one.
     """
+    # what has been checked is kept, so most starts need no checks
+    from ecatspec.spec.language.check import check_protocol, check_words  # noqa: PLC0415
+    from ecatspec.spec.language.check_texts import check_texts  # noqa: PLC0415
+
     chosen = _chosen(texts, name)
     _raise(check_texts(chosen))
     protocol = _together(chosen, name)
@@ -142,6 +158,22 @@ def _files(folder: str) -> list[Traversable]:
 
 @cache
 def _shipped(folder: str, name: str) -> SourceText:
-    raw = resources.files("ecatspec.spec").joinpath(folder, name).read_bytes()
-    file = f"spec/{folder}/{name}"
-    return kept(f"{folder}-{name}", raw, lambda: parse_text(decode(raw, file), file))
+    raw = _bytes(folder, name)
+    return kept(f"{folder}-{name}", raw, lambda: _parsed(raw, f"spec/{folder}/{name}"))
+
+
+@cache
+def _shipped_bytes() -> bytes:
+    """Give the texts of the standard as they lie there: what rests on them is kept for these."""
+    return b"".join(_bytes("standard", file.name) for file in _files("standard"))
+
+
+def _bytes(folder: str, name: str) -> bytes:
+    return resources.files("ecatspec.spec").joinpath(folder, name).read_bytes()
+
+
+def _parsed(raw: bytes, file: str) -> SourceText:
+    # what has been parsed is kept, so most starts need no parser
+    from ecatspec.spec.language.parse import decode, parse_text  # noqa: PLC0415
+
+    return parse_text(decode(raw, file), file)

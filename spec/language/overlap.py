@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
 from ecatspec.spec.language.ir import (
+    STANDARD,
     AnyValue,
     Binary,
     Bool,
@@ -65,9 +66,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from ecatspec.spec.language.ir import Expression, Machine, Protocol, Span
-
-STANDARD: Final = "standard"
-"""The name of the Protocol that belongs to no device."""
 
 BUDGET: Final = 20_000
 """How many partial combinations are looked at before a pair of rules is given up."""

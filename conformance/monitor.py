@@ -22,6 +22,7 @@ from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.interpreter import rule_clauses
+from ecatspec.model.once import once
 from ecatspec.model.oracle import Oracle
 from ecatspec.model.wire import wire_format
 from ecatspec.model.words import message_words, register_words
@@ -32,10 +33,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ecatspec.conformance.capture.segment import Transaction
+    from ecatspec.model.serving import Explanations
     from ecatspec.model.state import RuleName
 
 _MICROSECONDS = 1_000_000
 _REMEMBERED = 12
+_REMEMBERED_TO_ALL = 64
+"""Writes to all SubDevices that one of which nothing was seen before gets too, at most."""
 
 
 @dataclass(slots=True)
@@ -56,6 +60,13 @@ class Follower:
     exchanges: int = 0
     lost: int = 0
     _shown: str = ""
+    _told: tuple[str, ...] = ()
+    """The reasons after the last look."""
+    _starts: dict[str, int | None] = field(default_factory=dict)
+    _starts_of: Explanations | None = None
+    """The explanations by which the mailboxes begin there."""
+    _known: Explanations | None = None
+    """The explanations after the last look: the same again tell nothing new."""
 
     def follow(self, transaction: Transaction) -> None:
         """Judge one access; after a mismatch go on from what it showed."""
@@ -76,12 +87,13 @@ class Follower:
             return
         self.exchanges += 1
         self._remember(exchange)
-        told = self.oracle.reasons()
         mismatch = self.oracle.observe(exchange)
+        if mismatch is None and self.oracle.candidates is self._known:
+            return
         self.rules |= self.oracle.certain_rules()
         reasons = self.oracle.reasons() if mismatch is None else mismatch.reasons
         for reason in reasons:
-            if reason not in told:
+            if reason not in self._told:
                 self.reasons.append(f"{reason} ({exchange.reference})")
                 self.recent.append(TraceLine(exchange.time, REASON, reason))
         if mismatch is not None:
@@ -94,6 +106,8 @@ class Follower:
                 self.accidents.append(what)
                 self.recent.append(TraceLine(exchange.time, SUB_DEVICE, what))
             self.oracle.forget_history()
+        self._known = self.oracle.candidates
+        self._told = self.oracle.reasons()
 
     def _remember(self, exchange: Exchange) -> None:
         if not exchange.working_counter:
@@ -107,31 +121,27 @@ class Follower:
 
     def _words(self, exchange: Exchange) -> tuple[str, bytes]:
         """Give what an exchange says, and the bytes of a message."""
-        registers = self.model.protocol.registers
-        parts = []
-        for name in ("al_control", "al_status", "al_status_code"):
-            register = registers[name]
-            offset = register.address - exchange.address
-            content = exchange.data[offset : offset + register.size] if offset >= 0 else b""
-            if not content or exchange.write != (name == "al_control"):
-                continue
-            raw = int.from_bytes(content, "little")
-            fields = {
-                bits.name: field_of(self.model.protocol, name, bits.name, raw)
-                for bits in register.fields
-            }
-            parts.append(register_words(self.model, name, fields))
-            if name == "al_status" and (not self.path or not self.path[-1].startswith(parts[-1])):
-                self.path.append(f"{parts[-1]} ({exchange.reference})")
-        data = b""
-        start = self.oracle.area(SYNC_MANAGERS[0 if exchange.write else 1])
-        if start is not None and exchange.address == start[0]:
-            message = self.model.decode(exchange.data)
-            if message is not None:
-                self.messages[message.frame] += 1
-                parts.append(message_words(self.model, message))
-                data = exchange.data[: self.model.codec.length(message)]
-        return "; ".join(parts), data
+        said, status = _said(self.model, exchange.write, exchange.address, exchange.data)
+        if status and not (self.path and self.path[-1].startswith(status)):
+            self.path.append(f"{status} ({exchange.reference})")
+        if exchange.address != self._start(SYNC_MANAGERS[0 if exchange.write else 1]):
+            return said, b""
+        message = self.model.decode(exchange.data)
+        if message is None:
+            return said, b""
+        self.messages[message.frame] += 1
+        words = message_words(self.model, message)
+        return f"{said}; {words}" if said else words, exchange.data[
+            : self.model.codec.length(message)
+        ]
+
+    def _start(self, name: str) -> int | None:
+        """Give where a mailbox begins."""
+        if self._starts_of is not self.oracle.candidates:
+            areas = {name: self.oracle.area(name) for name in SYNC_MANAGERS}
+            self._starts = {name: area and area[0] for name, area in areas.items()}
+            self._starts_of = self.oracle.candidates
+        return self._starts[name]
 
     def _verdict(self, mismatch: Mismatch) -> Verdict:
         clauses = self.model.protocol.clauses
@@ -154,6 +164,26 @@ class Follower:
         )
 
 
+@once
+def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, str]:  # noqa: FBT001
+    """Give what an access to registers of the AL says in words, and what it says of the state."""
+    parts, status = [], ""
+    for name in ("al_control", "al_status", "al_status_code"):
+        register = model.protocol.registers[name]
+        offset = register.address - address
+        content = data[offset : offset + register.size] if offset >= 0 else b""
+        if not content or write != (name == "al_control"):
+            continue
+        raw = int.from_bytes(content, "little")
+        fields = {
+            bits.name: field_of(model.protocol, name, bits.name, raw) for bits in register.fields
+        }
+        parts.append(register_words(model, name, fields))
+        if name == "al_status":
+            status = parts[-1]
+    return "; ".join(parts), status
+
+
 def monitor_file(
     path: Path,
     device: str,
@@ -165,12 +195,15 @@ def monitor_file(
     model = Model(protocol)
     capture = Capture(path, wire_format(model))
     followers: dict[int, Follower] = {}
+    to_all: deque[Transaction] = deque(maxlen=_REMEMBERED_TO_ALL)
 
     def follower(identity: int) -> Follower:
         if identity not in followers:
             oracle = Oracle(model)
             oracle.unknown()
-            followers[identity] = Follower(model, oracle)
+            followers[identity] = new = Follower(model, oracle)
+            for earlier in to_all:
+                new.follow(earlier)
         return followers[identity]
 
     for number, transaction in enumerate(capture):
@@ -179,6 +212,8 @@ def monitor_file(
         if transaction.device is not None:
             follower(capture.segment.canonical(transaction.device)).follow(transaction)
         elif transaction.write or len(followers) == 1 == capture.segment.size:
+            if transaction.write:
+                to_all.append(transaction)
             for each in followers.values():
                 each.follow(transaction)
     seconds = time.monotonic() - began

@@ -19,6 +19,7 @@ from ecatspec.model.candidates import (
     with_alarms,
 )
 from ecatspec.model.compiled import MAILBOX
+from ecatspec.model.covered import widest
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.feeding import fed, widened
@@ -93,6 +94,9 @@ class Oracle:
     """The first observation since a request that only an accident explains."""
     _grown: Grown | None = None
     """What the candidates grew to when they were looked at last."""
+    _idle: set[tuple[int, bytes, int]] = field(default_factory=set)
+    """Reads (address, data, working counter) that told nothing of the candidates `_idle_of`."""
+    _idle_of: Explanations = field(default_factory=dict)
 
     # --- beginnings -------------------------------------------------------------------------------
 
@@ -128,7 +132,23 @@ class Oracle:
         """Take one exchange into account; tell the mismatch, if there is one."""
         if exchange.write:
             return self._write(exchange)
-        return self._read(exchange)
+        look = exchange.address, exchange.data, exchange.working_counter
+        grown = self._grown
+        if (
+            look in self._idle
+            and self._idle_of is self.candidates
+            and grown is not None
+            and grown.of(self.candidates, exchange.time)
+        ):
+            return None
+        mismatch = self._read(exchange)
+        if self._grown is not None and self._grown.found is self.candidates and mismatch is None:
+            if self._idle_of is not self.candidates:
+                self._idle, self._idle_of = set(), self.candidates
+            # only how long a reply may take depends on the time of a look
+            if not any(candidate.outbox for candidate in self.candidates):
+                self._idle.add(look)
+        return mismatch
 
     def unreadable(self, name: str, exchange: Exchange) -> Mismatch | None:
         """Judge a read that brought no register: one on which a machine rests can be read."""
@@ -292,6 +312,10 @@ class Oracle:
 
     def forget_history(self) -> None:
         """Keep the last rule of each machine, and no accidents: some runs have no end."""
+        if not any(
+            c.befell or len(h) > len({r.machine for r in h}) for c, h in self.candidates.items()
+        ):
+            return
         self.candidates = {
             replace(candidate, befell=()): tuple({rule.machine: rule for rule in history}.values())
             for candidate, history in self.candidates.items()
@@ -724,7 +748,7 @@ class Oracle:
                 for left, rules in self._taken(candidate, message, exchange.time):
                     after[replace(left, last=data)] = history + rules
         if after:
-            self.candidates = after
+            self.candidates = widest(after)
             return None
         observed = "no message" if message is None else message_words(self.model, message)
         due = [(c.state, c.outbox[0]) for c in before if c.outbox]

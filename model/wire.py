@@ -143,17 +143,21 @@ class Command:
     addressing: Addressing
     reads: bool
     writes: bool
-    others_write: bool = False
+    counts_up: bool
+    """Each SubDevice that a frame passes adds one to the ADP."""
+    others_write: bool
     """What the one addressed has read, all others write."""
-
-    @property
-    def counts_up(self) -> bool:
-        """Whether each SubDevice that a frame passes adds one to the ADP."""
-        return self.addressing in {Addressing.POSITION, Addressing.ALL}
 
 
 COMMANDS: Final = {
-    name: Command(name, addressing, reads, writes, name in {"ARMW", "FRMW"})
+    name: Command(
+        name,
+        addressing,
+        reads,
+        writes,
+        counts_up=addressing in {Addressing.POSITION, Addressing.ALL},
+        others_write=name in {"ARMW", "FRMW"},
+    )
     for name, addressing, reads, writes in (
         ("NOP", Addressing.NONE, False, False),
         ("APRD", Addressing.POSITION, True, False),

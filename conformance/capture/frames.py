@@ -15,23 +15,42 @@ _PAIRED_SHARE: Final = 0.8
 
 
 @dataclass(frozen=True, slots=True)
+class Content:
+    """What a frame holds; one object for all frames with the same bytes."""
+
+    source: bytes
+    marked: bool
+    """The source address has the bit of a frame that came back."""
+    datagrams: tuple[Datagram, ...]
+    good: bool
+    """All is well formed."""
+    counted: bool
+    """Somebody counted up a working counter."""
+    signature: tuple[object, ...]
+    """What does not change on the way round the segment."""
+
+    @classmethod
+    def of(
+        cls, datagrams: tuple[Datagram, ...], source: bytes, *, marked: bool, good: bool
+    ) -> Content:
+        """Work out the rest."""
+        counted = any(datagram.working_counter for datagram in datagrams)
+        signature = (source, *(datagram.signature() for datagram in datagrams))
+        return cls(source, marked, datagrams, good, counted, signature)
+
+
+@dataclass(frozen=True, slots=True)
 class Frame:
-    """An EtherCAT frame; `marked`: the source address has the bit of a frame that came back."""
+    """An EtherCAT frame as it was captured."""
 
     number: int
     nanoseconds: int
-    source: bytes
-    marked: bool
-    datagrams: tuple[Datagram, ...]
+    content: Content
 
     @property
-    def counted(self) -> bool:
-        """Whether somebody counted up a working counter."""
-        return any(datagram.working_counter for datagram in self.datagrams)
-
-    def signature(self) -> tuple[object, ...]:
-        """Give what does not change on the way round the segment."""
-        return (self.source, *(datagram.signature() for datagram in self.datagrams))
+    def datagrams(self) -> tuple[Datagram, ...]:
+        """What it holds."""
+        return self.content.datagrams
 
     def passed(self, request: Frame) -> int | None:
         """Give how many SubDevices the frame passed, None when no datagram shows it."""
@@ -64,7 +83,7 @@ class Pending:
     def add(self, frame: Frame) -> None:
         """Take in a request."""
         self._serial += 1
-        request = _Request(self._serial, frame, frame.signature())
+        request = _Request(self._serial, frame, frame.content.signature)
         self._requests[request.serial] = request
         self._by_signature.setdefault(request.signature, deque()).append(request)
 
@@ -74,19 +93,22 @@ class Pending:
         Frames keep their order on a segment, so a request older than one that came back is most
         likely lost.
         """
-        waiting = self._by_signature.get(frame.signature())
+        waiting = self._by_signature.get(frame.content.signature)
         if not waiting:
             return None
-        last = self._last.get(frame.source, 0)
-        request = min(
-            waiting,
-            key=lambda one: (
-                size is not None and frame.passed(one.frame) not in {size, None},
-                one.serial <= last,
-                one.serial,
-            ),
-        )
-        self._last[frame.source] = max(last, request.serial)
+        source = frame.content.source
+        last = self._last.get(source, 0)
+        request = waiting[0]
+        if len(waiting) > 1:
+            request = min(
+                waiting,
+                key=lambda one: (
+                    size is not None and frame.passed(one.frame) not in {size, None},
+                    one.serial <= last,
+                    one.serial,
+                ),
+            )
+        self._last[source] = max(last, request.serial)
         self._remove(request)
         return request.frame
 
@@ -102,7 +124,11 @@ class Pending:
     def overtaken(self, source: bytes) -> Iterator[Frame]:
         """Take out the requests older than the last that came back: they are lost."""
         last = self._last.get(source, 0)
-        lost = [r for r in self._requests.values() if r.serial < last and r.frame.source == source]
+        lost = [
+            r
+            for r in self._requests.values()
+            if r.serial < last and r.frame.content.source == source
+        ]
         for request in lost:
             self._remove(request)
             yield request.frame
@@ -121,15 +147,15 @@ def come_in_pairs(frames: list[Frame]) -> bool:
     That is a MainDevice with a locally administered address, whose frames carry the mark from the
     start, or an emulated segment that does not set it.
     """
-    if len({frame.marked for frame in frames}) != 1:
+    if len({frame.content.marked for frame in frames}) != 1:
         return False
     open_requests: Counter[tuple[object, ...]] = Counter()
     pairs = 0
     for frame in frames:
-        signature = frame.signature()
+        signature = frame.content.signature
         if open_requests[signature]:
             open_requests[signature] -= 1
             pairs += 1
-        elif not frame.counted:
+        elif not frame.content.counted:
             open_requests[signature] += 1
     return 2 * pairs >= _PAIRED_SHARE * len(frames)

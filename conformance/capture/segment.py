@@ -142,12 +142,16 @@ class Mappings:
         self._segment = segment
         spans = (range(register.address, _end(register)) for register in wire.fmmus)
         self._addresses = frozenset(chain.from_iterable(spans))
+        self._span = min(self._addresses), max(self._addresses)
         self._everywhere: dict[int, int] = {}
         self._bytes: dict[int, dict[int, int]] = {}
         self._fmmus: dict[int, tuple[Fmmu, ...]] | None = None
 
     def observe(self, transaction: Transaction) -> None:
         """Learn from an access to the registers; a write that got lost makes them unknown."""
+        first, last = self._span
+        if transaction.address > last or transaction.address + len(transaction.data) <= first:
+            return
         device, write = transaction.device, transaction.write
         data = {
             address: value

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, islice
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from ecatspec.conformance.capture.files import NANOSECONDS, BrokenError, NoCaptureError, packets
-from ecatspec.conformance.capture.frames import Frame, Pending, come_in_pairs
+from ecatspec.conformance.capture.frames import Content, Frame, Pending, come_in_pairs
 from ecatspec.conformance.capture.segment import Mappings, Segment, Transaction
 from ecatspec.model.wire import Addressing, Command, Datagram, Wire
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 LOST_AFTER: Final = 1000
 """A request is given up when it is this many frames old."""
 _WINDOW: Final = 256
+_REMEMBERED: Final = 4096
 
 
 class CaptureError(Exception):
@@ -78,6 +80,8 @@ class Capture:
         self._path = path
         self._wire = wire
         self._decoder = Wire(wire)
+        # a MainDevice that polls sends the same bytes again and again
+        self._content = lru_cache(_REMEMBERED)(self._decoded)
         self._reset()
 
     def _reset(self) -> None:
@@ -134,22 +138,29 @@ class Capture:
             if not self._count["frames"]:
                 self._start = packet.nanoseconds
             self._count["frames"] += 1
-            payload = self._decoder.payload(packet.data)
-            if payload is None:
+            content = self._content(packet.data)
+            if content is None:
                 continue
-            datagrams, good = self._decoder.datagrams(payload)
             self._count["ethercat_frames"] += 1
-            self._count["datagrams"] += len(datagrams)
-            self._count["malformed"] += not good
-            if datagrams:
-                source, marked = self._decoder.source(packet.data)
-                yield Frame(packet.number, packet.nanoseconds, source, marked, datagrams)
+            self._count["datagrams"] += len(content.datagrams)
+            self._count["malformed"] += not content.good
+            if content.datagrams:
+                yield Frame(packet.number, packet.nanoseconds, content)
         if not self._count["ethercat_frames"]:
             frames = self._count["frames"]
             what = f"no EtherCAT frame among {frames} frames, or the link is not Ethernet"
             if self.truncated:
                 what += ", and then the file breaks off"
             raise self._error(what, "record on the network interface of the MainDevice")
+
+    def _decoded(self, data: bytes) -> Content | None:
+        """Give what a frame holds, None: it is none of EtherCAT."""
+        payload = self._decoder.payload(data)
+        if payload is None:
+            return None
+        datagrams, good = self._decoder.datagrams(payload)
+        source, marked = self._decoder.source(data)
+        return Content.of(datagrams, source, marked=marked, good=good)
 
     def _transactions(self, frames: Iterator[Frame]) -> Iterator[Transaction]:
         head = list(islice(frames, _WINDOW))
@@ -158,12 +169,13 @@ class Capture:
             for lost in self._pending.expired(frame.number - LOST_AFTER):
                 yield from self._lost(lost)
             request: Frame | None = None
-            if frame.marked or frame.counted or paired:
+            back = frame.content.marked or frame.content.counted
+            if back or paired:
                 request = self._pending.match(frame, self.segment.size)
-            if request is not None or (not paired and (frame.marked or frame.counted)):
+            if request is not None or (back and not paired):
                 self._count["returns"] += 1
                 if request is not None:
-                    for lost in self._pending.overtaken(request.source):
+                    for lost in self._pending.overtaken(request.content.source):
                         yield from self._lost(lost)
                 yield from self._returned(frame, request)
             else:

@@ -1,5 +1,6 @@
 """The only place for what all tests share: the Hypothesis profile and the folder of evidence."""
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,6 +9,9 @@ import pytest
 from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# Most of what is made stays, so that to look for garbage as often as usual finds little.
+gc.set_threshold(100_000, 20, 100)
 
 # No deadline: a first call may compile texts. In CI a failure must come back on the next run.
 settings.register_profile(

@@ -386,6 +386,7 @@ def rule_clauses(model: Model, rule: RuleName) -> tuple[str, ...]:
     return () if row is None else row.clauses
 
 
+@once
 def rests_on(model: Model, rule: RuleName) -> frozenset[str]:
     """Give the names on which it depends whether a rule or gap holds."""
     row = _row(model, rule)

@@ -14,6 +14,7 @@ import pytest
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.runner import Runner
+from resumed import resumed
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS, Case
 from ecatspec.generators.suite import all_cases
@@ -81,7 +82,7 @@ class Suite:
 
     def runner(self, options: dict[str, str]) -> Runner:
         adapter = make(self.ground.device, self.options | options)
-        return Runner(self.model, adapter, adapter.describe())
+        return resumed(self.model, adapter)
 
     def ordered(self, fault: Fault) -> list[Case]:
         """The cases that go by rare rules of the fault first: short ones, then the longest."""

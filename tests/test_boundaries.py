@@ -8,12 +8,12 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
+from resumed import resumed
 from seeds import printed_twice
 
 pytest.importorskip("z3")
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
-from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.boundary_cover import BoundaryCases, boundary_cases, boundary_cover
 from ecatspec.generators.bringup import way_to
@@ -171,7 +171,7 @@ def test_a_message_is_followed_by_a_proof_that_the_device_lives() -> None:
 @pytest.mark.parametrize("device", [DEVICE, "kollmorgen-akd"])
 def test_a_sound_device_passes_every_case(device: str) -> None:
     adapter = make(device, {})
-    runner = Runner(Model(load_device(device)), adapter, adapter.describe())
+    runner = resumed(Model(load_device(device)), adapter)
     cases = covered(device).cases
     assert len(cases) > 300
     verdicts = [runner.judge(case) for case in cases]
@@ -181,7 +181,7 @@ def test_a_sound_device_passes_every_case(device: str) -> None:
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_is_found(fault: str) -> None:
     adapter = make(DEVICE, {"fault": fault})
-    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
+    runner = resumed(Model(load_device(DEVICE)), adapter)
     assert any(runner.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
 
 
@@ -189,7 +189,7 @@ def test_a_planted_fault_is_found(fault: str) -> None:
 def test_a_comparison_that_is_off_by_one_is_found(definition: str, old: str, new: str) -> None:
     wrong = off_by_one(load_device(DEVICE), definition, old, new)
     adapter = VirtualAdapter(VirtualSubDevice(wrong), described(wrong))
-    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
+    runner = resumed(Model(load_device(DEVICE)), adapter)
     assert any(runner.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
 
 

@@ -9,6 +9,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
+from resumed import resumed
 
 from ecatspec.conformance import session
 from ecatspec.conformance.adapter import AdapterError, Description, raise_local
@@ -181,7 +182,8 @@ def sample(step: int) -> list[Case]:
 
 
 def blamed(device: VirtualSubDevice, judge: Protocol, tried: Iterable[Case]) -> list[str]:
-    run = runner(device, judge)
+    told = description(REFERENCE)
+    run = resumed(Model(judge), VirtualAdapter(device, told))
     verdicts = [run.judge(each) for each in tried]
     return [f"{v.case}: {v.observed} {v.clauses}" for v in verdicts if v.outcome in BLAMING]
 

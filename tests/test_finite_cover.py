@@ -7,9 +7,10 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import pytest
+from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.runner import Runner, run_device
+from ecatspec.conformance.runner import run_device
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS, Limits
 from ecatspec.generators.complete.machines import ALL_EVENTS
@@ -19,6 +20,7 @@ from ecatspec.model.compiled import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
+    from ecatspec.conformance.runner import Runner
     from ecatspec.generators.finite_cover import Complete
 
 DRIVE = "reference-drive"
@@ -41,7 +43,7 @@ def suites(device: str, depth: str, most: int = 2) -> tuple[Complete, ...]:
 
 def runner_of(device: str, fault: str = "") -> Runner:
     adapter = make(device, {"fault": fault} if fault else {})
-    return Runner(Model(load_device(device)), adapter, adapter.describe())
+    return resumed(Model(load_device(device)), adapter)
 
 
 def test_a_quick_run_has_no_complete_suites() -> None:

@@ -5,22 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from resumed import resumed
 
 from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.session import Session
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_file
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ecatspec.conformance.runner import Runner
     from ecatspec.spec.language.ir import Protocol
 
 LIMITED = """
@@ -56,8 +55,7 @@ def runner(text: Protocol, device: Protocol) -> Runner:
     model = Model(text)
     description = Description("small", frozenset(text.machines), *(True, True))
     adapter = VirtualAdapter(VirtualSubDevice(device), description)
-    judge = Runner(model, adapter, description)
-    judge.session = Session(adapter, model, Oracle(model))
+    judge = resumed(model, adapter)
     cases = [
         c for c in all_cases(model, NO_LIMITS, "quick") if c.layer not in {"al", "process_data"}
     ]

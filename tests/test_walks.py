@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, get_args
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.runner import SHAPE
 from ecatspec.conformance.shrink import shortest
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators import dice
@@ -49,6 +50,8 @@ from ecatspec.model.values import Pattern
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from ecatspec.conformance.runner import Runner
 
 DEVICES = (
     "reference",
@@ -84,7 +87,7 @@ def walked(device: str, seed: int, steps: int = STEPS, limits: Limits = NO_LIMIT
 
 def runner_of(device: str, fault: str = "") -> Runner:
     adapter = make(device, {"fault": fault} if fault else {})
-    return Runner(model_of(device), adapter, adapter.describe())
+    return resumed(model_of(device), adapter)
 
 
 # --- walks ----------------------------------------------------------------------------------------

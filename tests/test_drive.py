@@ -181,9 +181,14 @@ def sample(step: int) -> list[Case]:
     return list(cases("reference-drive"))[::step]
 
 
-def blamed(device: VirtualSubDevice, judge: Protocol, tried: Iterable[Case]) -> list[str]:
-    told = description(REFERENCE)
-    run = resumed(Model(judge), VirtualAdapter(device, told))
+@cache
+def unpinned() -> Model:
+    """What judges drives of every kind; what it has worked out once it knows."""
+    return Model(UNPINNED)
+
+
+def blamed(device: VirtualSubDevice, tried: Iterable[Case]) -> list[str]:
+    run = resumed(unpinned(), VirtualAdapter(device, description(REFERENCE)))
     verdicts = [run.judge(each) for each in tried]
     return [f"{v.case}: {v.observed} {v.clauses}" for v in verdicts if v.outcome in BLAMING]
 
@@ -192,7 +197,7 @@ def blamed(device: VirtualSubDevice, judge: Protocol, tried: Iterable[Case]) -> 
 def test_no_way_at_a_choice_is_blamed(choice: Choice, way: str) -> None:
     pins = REFERENCE.pins | {choice.name: Pin(choice.name, way, ())}
     device = VirtualSubDevice(replace(REFERENCE, pins=pins))
-    assert blamed(device, UNPINNED, sample(71)) == []
+    assert blamed(device, sample(71)) == []
 
 
 @pytest.mark.parametrize("condition", TRUTHS, ids=lambda c: c.name)
@@ -200,7 +205,7 @@ def test_no_truth_of_a_condition_is_blamed(condition: Condition) -> None:
     other = replace(condition, assumed=not condition.assumed)
     conditions = REFERENCE.conditions | {condition.name: other}
     device = VirtualSubDevice(replace(REFERENCE, conditions=conditions))
-    assert blamed(device, UNPINNED, sample(73)) == []
+    assert blamed(device, sample(73)) == []
 
 
 WATCHDOG = "process_data", "expired"
@@ -235,7 +240,7 @@ class Tardy(VirtualSubDevice):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_drive_that_looks_late_is_not_blamed(seed: int) -> None:
-    assert blamed(Tardy(REFERENCE, seed), UNPINNED, sample(29)) == []
+    assert blamed(Tardy(REFERENCE, seed), sample(29)) == []
 
 
 def test_what_befalls_a_drive_by_itself_is_not_its_fault() -> None:

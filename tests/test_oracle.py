@@ -114,12 +114,25 @@ class Faulty:
         return Description("faulty", frozenset({"al", "mailbox", "sdo"}), *(True, True))
 
 
+KNOWN: list[Model] = []
+
+
+def judge_of(protocol: Protocol) -> Model:
+    """Give what judges a device of a text; what it has worked out once it knows."""
+    for model in KNOWN:
+        if model.protocol is protocol:
+            return model
+    model = Model(protocol)
+    model.dictionary.close()
+    KNOWN.append(model)
+    return model
+
+
 def judged(
     device: Faulty, stimuli: Sequence[Stimulus], choices: dict[str, str] | None = None
 ) -> tuple[Mismatch | None, dict[str, str]]:
     """Run from power-on: the mismatch, and the choices that the device has shown."""
-    model = Model(device.device.model.protocol)
-    model.dictionary.close()
+    model = judge_of(device.device.model.protocol)
     session = Session(device, model, Oracle(model))
     try:
         session.begin(SHAPE | (choices or {}))
@@ -938,7 +951,7 @@ NOTHING_ASKED = WriteRegister("al_control", {})
 def walked(device: VirtualSubDevice, stimuli: Sequence[Stimulus]) -> str:
     """Run from power-on, with objects that were read before; give what it was blamed for."""
     adapter = Faulty(device)
-    runner = Runner(Model(device.model.protocol), adapter, adapter.describe())
+    runner = Runner(judge_of(device.model.protocol), adapter, adapter.describe())
     verdict = runner.judge(Case("walk", "a walk", "al", tuple(stimuli)))
     return "" if verdict.outcome is Outcome.PASS else f"{verdict.reason}: {verdict.observed}"
 

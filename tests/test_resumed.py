@@ -1,0 +1,77 @@
+"""The only place for tests of cases that go on where the one before was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+from resumed import resumed
+
+from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.generators.bringup import way_to
+from ecatspec.generators.case import NO_LIMITS, Case
+from ecatspec.generators.suite import all_cases
+from ecatspec.generators.transfers import upload
+from ecatspec.model.compiled import Model
+from ecatspec.spec.language.load import load_device
+
+if TYPE_CHECKING:
+    from ecatspec.conformance.verdict import Verdict
+
+DEVICE = "reference-drive"
+STEP = 31
+"""Of the cases of a quick suite every one of so many is taken."""
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return Model(load_device(DEVICE))
+
+
+def judged(runner: Runner, case: Case) -> tuple[Verdict, object]:
+    runner.rules = set()
+    verdict = runner.judge(case)
+    learned = runner.choices, runner.untold, runner.refusals, runner.configured
+    return verdict, (frozenset(runner.rules), *map(repr, learned))
+
+
+@pytest.mark.parametrize("fault", ["", "toggle_ignored"])
+def test_all_is_as_from_power_on(model: Model, fault: str) -> None:
+    options = {"fault": fault} if fault else {}
+    adapters = make(DEVICE, options), make(DEVICE, options)
+    plain = Runner(model, adapters[0], adapters[0].describe())
+    quick = resumed(model, adapters[1])
+    outcomes = set()
+    for case in list(all_cases(model, NO_LIMITS, "quick"))[::STEP]:
+        expected = judged(plain, case)
+        assert judged(quick, case) == expected
+        outcomes.add(expected[0].outcome)
+    assert bool(outcomes & BLAMING) == bool(fault)
+
+
+def test_what_is_common_is_done_once(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    adapter = make(DEVICE, {})
+    given: list[bytes] = []
+    write = adapter.write
+
+    def counted(address: int, data: bytes) -> int:
+        given.append(data)
+        return write(address, data)
+
+    monkeypatch.setattr(adapter, "write", counted)
+    runner = resumed(model, adapter)
+    way = way_to(model, "PREOP")
+    short = Case("sdo/short", "a way", "sdo", way, "PREOP", len(way))
+    longer = replace(short, stimuli=(*way, upload(0x1018, 1)))
+    other = replace(short, stimuli=(*way, upload(0x1018, 2)))
+    for case in (longer, longer, other):
+        runner.judge(case)  # it shows which way it goes, which is known from then on
+    needed = []
+    for case in (longer, longer, short, other):
+        given.clear()
+        assert runner.judge(case).outcome is Outcome.PASS
+        needed.append(len(given))
+    assert needed == [1, 0, 0, 1]

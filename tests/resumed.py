@@ -27,6 +27,13 @@ _LONGEST = 60
 """What comes after so many stimuli is not kept."""
 
 
+@dataclass
+class Seen:
+    """What a test sees inside of a device; an attribute of the adapter, it is kept with it."""
+
+    rules: set[str] = field(default_factory=set)
+
+
 @dataclass(frozen=True, slots=True)
 class _Kept:
     """What a part of the device was when it was looked at, and the part."""
@@ -38,12 +45,10 @@ class _Kept:
 def _taken(thing: object) -> object:
     """Give a copy of what changes in a virtual device; all else is what it was."""
     match thing:
-        case VirtualAdapter() | VirtualSubDevice() | Esc() | ThreeBuffers():
+        case VirtualAdapter() | VirtualSubDevice() | Esc() | ThreeBuffers() | Seen():
             return _Kept(thing, {name: _taken(value) for name, value in vars(thing).items()})
-        case [bytearray(), *_]:
-            return [each.copy() for each in thing]
         case list():
-            return thing.copy()
+            return [bytearray(each) if isinstance(each, bytearray) else each for each in thing]
         case dict():
             return {key: _taken(value) for key, value in thing.items()}
         case set() | bytearray():
@@ -114,9 +119,7 @@ class Resumed(Session):
             self._at = after
             self._see()
             return
-        if self._elsewhere:
-            _given(self._path[self._at].device)
-            self._elsewhere = False
+        self.arrive()
         if self._at < len(self._path):
             del self._path[after:]
         self._inside = True
@@ -127,6 +130,12 @@ class Resumed(Session):
             self._at = after
         if after == len(self._path) < _LONGEST:
             self._path.append(self._point(stimulus))
+
+    def arrive(self) -> None:
+        """Put the device where the session is."""
+        if self._elsewhere:
+            _given(self._path[self._at].device)
+            self._elsewhere = False
 
     def _point(self, stimulus: Stimulus | None) -> _Point:
         own = tuple(_taken(getattr(self, name)) for name in _OWN)

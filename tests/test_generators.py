@@ -8,6 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
+from resumed import Resumed, Seen, resumed
 
 from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
@@ -383,7 +384,7 @@ def ways(protocol: Protocol) -> list[Way]:
 class Sweep:
     """Runs cases against virtual devices and keeps what fired."""
 
-    def __init__(self, fired: Fired, protocol: Protocol, oracle: Model, inside: set[str]) -> None:
+    def __init__(self, fired: Fired, protocol: Protocol, oracle: Model, inside: Seen) -> None:
         self.fired = fired
         self.protocol = protocol
         self.oracle = oracle
@@ -405,16 +406,20 @@ class Sweep:
             "a device", frozenset(MACHINES), virtual_time=True, closed_dictionary=closed
         )
         device = VirtualSubDevice(changed(self.protocol, way))
-        runner = Runner(self.oracle, adapter(device, shape), shape)
+        reached = adapter(device, shape)
+        vars(reached)["seen"] = self.inside
+        runner = resumed(self.oracle, reached)
         for case in cases:
-            self.inside.clear()
+            self.inside.rules.clear()
             runner.rules = set()
             verdict = runner.judge(case)
+            assert isinstance(runner.session, Resumed)
+            runner.session.arrive()
             if verdict.outcome not in {Outcome.PASS, Outcome.INCONCLUSIVE}:
                 self.fired.blamed.append(f"{way} {case.name}: {verdict.outcome} {verdict.reason}")
-            self.fired.inside |= self.inside
+            self.fired.inside |= self.inside.rules
             self.fired.certain |= set(map(str, runner.rules))
-            for rule in self.inside:
+            for rule in self.inside.rules:
                 self.kinds[rule]["/".join(case.name.split("/")[:2]), case.flag].append(case)
 
     def matter(self, names: frozenset[str], mentions: Mapping[str, frozenset[str]]) -> list[Case]:
@@ -459,22 +464,22 @@ def spread(cases: list[Case], most: int) -> list[Case]:
 
 
 @pytest.fixture
-def inside(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+def inside(monkeypatch: pytest.MonkeyPatch) -> Seen:
     """The rules that fire in virtual devices."""
-    found: set[str] = set()
+    found = Seen()
     for name in ("step", "afterwards"):
         real = getattr(subdevice, name)
 
         def watched(*arguments: object, real: Callable[..., tuple[object, ...]] = real) -> object:
             steps = real(*arguments)
-            found.update(map(str, steps[0].rules))  # type: ignore[attr-defined]
+            found.rules.update(map(str, steps[0].rules))  # type: ignore[attr-defined]
             return steps
 
         monkeypatch.setattr(subdevice, name, watched)
     return found
 
 
-def test_the_cases_fire_every_rule_in_some_device(inside: set[str]) -> None:
+def test_the_cases_fire_every_rule_in_some_device(inside: Seen) -> None:
     fired = Fired()
     protocol = replace(load(REFERENCE), pins={})
     mentions = {

@@ -142,7 +142,7 @@ class Mappings:
         self._segment = segment
         spans = (range(register.address, _end(register)) for register in wire.fmmus)
         self._addresses = frozenset(chain.from_iterable(spans))
-        self._span = min(self._addresses), max(self._addresses)
+        self._span = min(self._addresses, default=0), max(self._addresses, default=-1)
         self._everywhere: dict[int, int] = {}
         self._bytes: dict[int, dict[int, int]] = {}
         self._fmmus: dict[int, tuple[Fmmu, ...]] | None = None

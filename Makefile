@@ -53,12 +53,8 @@ site: $(VENV)/developed  ## build the documentation as HTML in site/, without a 
 mutants: $(VENV)/installed  ## measure what the suites kill, and write docs/mutants.md (hours)
 	$(BIN)/python docs/mutants.py
 
-bench: $(VENV)/installed  ## measure
-	$(BIN)/python bench/run.py
-	$(BIN)/python bench/complete.py
-	$(BIN)/python bench/diff.py
-	$(BIN)/python bench/adapters.py
-	$(BIN)/python bench/wire.py
+bench: $(VENV)/measured  ## measure, beside rivals (about 20 minutes); BENCH=--write fills docs/performance.md
+	$(BIN)/python bench/run.py $(BENCH)
 
 clean:  ## remove everything made here
 	rm -rf $(VENV) build dist site ecatspec.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
@@ -82,4 +78,9 @@ $(VENV)/installed: $(VENV)/created $(SOURCES)
 $(VENV)/developed: $(VENV)/installed pyproject.toml
 	$(PIP) install --upgrade 'pip>=25.1'
 	$(PIP) install --group dev --group docs
+	@touch $@
+
+$(VENV)/measured: $(VENV)/installed pyproject.toml
+	$(PIP) install --upgrade 'pip>=25.1'
+	$(PIP) install --group bench
 	@touch $@

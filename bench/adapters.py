@@ -1,18 +1,12 @@
 """The only place that measures ways to a device: the same exchanges through each, and bare.
 
-    python bench/adapters.py [--json] [--crashes 1000]
-
-The device is examples/c_slave, so `make` and `cc` are needed. The bare call is that of ctypes with
-declared types, into the library in this process, and nothing else. All ways take turns, round by
-round. With `--crashes` a library ends in so many segmentation faults, one after the other, and what
-the runner holds before and after is told.
+The device is examples/c_slave. The bare call is that of ctypes with declared types, into the
+library in this process, and nothing else.
 """
 
 from __future__ import annotations
 
-import argparse
 import ctypes
-import json
 import shutil
 import socket
 import subprocess
@@ -24,9 +18,25 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
-from rich.console import Console
-from rich.table import Table
-from run import CHOICES, ROOT, ROUNDS, Call, Figure, Recorder, bound, in_turns, perform
+import psutil
+from exchanges import Recorder, bound, check, perform, upload_cases
+from measure import (
+    ROOT,
+    Absent,
+    Effort,
+    Figure,
+    Found,
+    Of,
+    Part,
+    Profile,
+    Row,
+    Table,
+    Target,
+    each,
+    in_turns,
+    number,
+    profiled,
+)
 
 from ecatspec.conformance.adapter import DeviceCrash
 from ecatspec.conformance.adapters import lib, open_adapter
@@ -34,23 +44,18 @@ from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.libraries import HEADERS
 from ecatspec.conformance.session import Session
-from ecatspec.generators.case import NO_LIMITS
-from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.model.compiled import Model
 from ecatspec.model.oracle import Oracle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from exchanges import Bound, Call
+
     from ecatspec.conformance.adapter import Adapter
-    from ecatspec.generators.case import Case
 
 SOURCES: Final = ROOT / "examples" / "c_slave"
 TEXT: Final = str(SOURCES / "slave.ecs")
-CASES: Final = "sdo/upload/"
-TARGET: Final = 3.0
-"""A checked exchange through a library, in bare calls."""
-WIDTH: Final = 120
 FALLS: Final = r"""
 #include <ecatspec_dut.h>
 #include <signal.h>
@@ -90,9 +95,9 @@ class Bare:
         self._kept = ctypes.create_string_buffer(1 << 16)
         self._buffer = ctypes.addressof(self._kept)
 
-    def of(self, calls: Sequence[Call]) -> list[tuple[object, tuple[object, ...]]]:
+    def of(self, calls: Sequence[Call]) -> Bound:
         """Give the calls with their arguments as C takes them."""
-        made: list[tuple[object, tuple[object, ...]]] = []
+        made: list[tuple[Callable[..., object], tuple[object, ...]]] = []
         for name, arguments in calls:
             match name, arguments:
                 case "read", (address, length):
@@ -106,17 +111,20 @@ class Bare:
         return made
 
 
-def built(folder: Path) -> Path:
+@contextmanager
+def built() -> Iterator[Path]:
+    """Build the device in a folder that goes away again."""
     make_program, compiler = shutil.which("make"), shutil.which("cc")
     if make_program is None or compiler is None:
-        sys.exit("bench/adapters.py needs make and cc")
-    command = (make_program, "-s", "-C", str(SOURCES), f"BUILD={folder}", f"INCLUDE={HEADERS}")
-    subprocess.run((*command, "all", "library"), check=True)
-    options = ("-shared", "-fPIC", f"-I{HEADERS}", "-x", "c", "-")
-    subprocess.run(
-        (compiler, *options, "-o", str(folder / "libfalls.so")), input=FALLS, text=True, check=True
-    )
-    return folder
+        raise Absent("make and cc build the device, and one of them is missing")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = (make_program, "-s", "-C", str(SOURCES), f"BUILD={folder}", f"INCLUDE={HEADERS}")
+        subprocess.run((*command, "all", "library"), check=True)
+        options = ("-shared", "-fPIC", f"-I{HEADERS}", "-x", "c", "-")
+        out = ("-o", str(folder / "libfalls.so"))
+        subprocess.run((compiler, *options, *out), input=FALLS, text=True, check=True)
+        yield folder
 
 
 @contextmanager
@@ -133,133 +141,111 @@ def served(program: Path, path: str) -> Iterator[str]:
         process.kill()
 
 
-def check(session: Session, cases: Sequence[Case]) -> None:
-    for case in cases:
-        session.begin(CHOICES)
-        for stimulus in case.stimuli:
-            session.apply(stimulus)
-
-
-def measured(folder: Path) -> list[dict[str, object]]:
-    """Give each way with microseconds an exchange, of the adapter alone and checked."""
-    protocol = load(TEXT)
-    model = Model(protocol)
-    model.dictionary.close()
-    cases = [case for case in sdo_cover(model, NO_LIMITS) if case.name.startswith(CASES)]
-    with ExitStack() as stack:
+def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Send the same exchanges through each way: by the adapter alone, and checked."""
+    model = Model(load(TEXT))
+    cases = upload_cases(model, effort)
+    with built() as folder, ExitStack() as stack:
         program = folder / "slave"
         ways: dict[str, Adapter] = {
-            "model": make(TEXT, {}),
-            "lib, in this process": lib.make(TEXT, {"path": str(folder / "libslave.so")}),
+            "`model`": make(TEXT, {}),
+            "library in this process": lib.make(TEXT, {"path": str(folder / "libslave.so")}),
         }
         duts = {
-            "lib": f"lib:{folder}/libslave.so",
-            "lib, level B": f"lib:{folder}/libstack.so",
-            "exec": f"exec:{program}",
-            "unix": stack.enter_context(served(program, str(folder / "socket"))),
-            "tcp": stack.enter_context(served(program, "")),
+            "`lib`, level A": f"lib:{folder}/libslave.so",
+            "`lib`, level B": f"lib:{folder}/libstack.so",
+            "`exec`": f"exec:{program}",
+            "`unix`": stack.enter_context(served(program, str(folder / "socket"))),
+            "`tcp`, same machine": stack.enter_context(served(program, "")),
         }
         for name, dut in duts.items():
             ways[name] = open_adapter(dut, TEXT)
             stack.callback(ways[name].close)
-        recorder = Recorder(ways["exec"])
+        recorder = Recorder(ways["`exec`"])
         recorded = Session(cast("Adapter", recorder), model, Oracle(model))
         check(recorded, cases)
         count = recorded.exchanges
-        bare = Bare(str(folder / "libslave.so"))
-        works = [
-            partial(
-                perform,
-                cast(
-                    "list[tuple[Callable[..., object], tuple[object, ...]]]",
-                    bare.of(recorder.calls),
-                ),
-            )
-        ]
+        library = Bare(str(folder / "libslave.so"))  # it keeps the device that is called
+        works = [partial(perform, library.of(recorder.calls))]
         for adapter in ways.values():
             works.append(partial(perform, bound(adapter, recorder.calls)))
             works.append(partial(check, Session(adapter, model, Oracle(model)), cases))
-        times = in_turns(ROUNDS, *works)
-    figures = [Figure.of([each / count * 1e6 for each in column]) for column in times]
-    one = figures[0].median
-    rows: list[dict[str, object]] = [
-        {"way": "bare ctypes", "alone": one, "alone_ratio": 1.0, "exchanges": count}
-    ]
-    for place, name in enumerate(ways):
-        alone, checked = figures[2 * place + 1], figures[2 * place + 2]
-        rows.append(
-            {
-                "way": name,
-                "alone": alone.median,
-                "alone_ratio": alone.median / one,
-                "checked": checked.median,
-                "checked_ratio": checked.median / one,
-                "judging": checked.median - alone.median,
-            }
-        )
-    return rows
+        bare, *others = (each(count, one) for one in in_turns(effort.of(7, 3, 1), *works))
+    pairs = dict(zip(ways, zip(others[::2], others[1::2], strict=True), strict=True))
+    note = f"{len(cases)} uploads of examples/c_slave, {count} exchanges a round"
+    checked = pairs["`lib`, level A"][1]
+    return Found((rows[0].found(checked, bare, note),), (_table(bare, pairs),))
 
 
-def held() -> dict[str, int]:
-    """Give what this process holds: descriptors, and bytes in memory."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    memory = next(line for line in status.splitlines() if line.startswith("VmRSS:"))
-    return {
-        "descriptors": len(list(Path("/proc/self/fd").iterdir())),
-        "kilobytes": int(memory.split()[1]),
-    }
+def _table(bare: Figure, pairs: dict[str, tuple[Figure, Figure]]) -> Table:
+    def cell(figure: Figure) -> tuple[str, str]:
+        return str(figure), f"{number(figure.median / bare.median)}x"
 
-
-def fallen(folder: Path, crashes: int) -> dict[str, object]:
-    """Let a library crash so often; give what is held after the tenth and after the last."""
-    adapter = open_adapter(f"lib:{folder}/libfalls.so", TEXT)
-    before: dict[str, int] = {}
-    began = time.perf_counter()
-    for number in range(crashes):
-        adapter.reset()
-        with suppress(DeviceCrash):
-            adapter.read(0, 1)
-        if number == min(10, crashes - 1):
-            before = held()
-    seconds = time.perf_counter() - began
-    adapter.close()
-    return {"crashes": crashes, "seconds": seconds, "before": before, "after": held()}
-
-
-def show(rows: Sequence[dict[str, object]]) -> None:
-    table = Table(
-        title=f"microseconds an exchange, median of {ROUNDS} rounds; ratio to a bare call"
+    return Table(
+        "Ways to a device, microseconds an exchange",
+        ("way", "adapter alone", "of a bare call", "checked", "of a bare call"),
+        (
+            ("bare ctypes", *cell(bare), "", ""),
+            *((name, *cell(alone), *cell(checked)) for name, (alone, checked) in pairs.items()),
+        ),
+        "A library in this process is there for comparison only: the judge would share its memory.",
     )
-    for column in ("way", "adapter alone", "ratio", "checked", "ratio", "of that judging"):
-        table.add_column(column, justify="left" if column == "way" else "right")
-    for row in rows:
-        cells = [
-            row.get(key) for key in ("alone", "alone_ratio", "checked", "checked_ratio", "judging")
-        ]
-        table.add_row(str(row["way"]), *("" if cell is None else f"{cell:,.1f}" for cell in cells))
-    console = Console()
-    if not console.is_terminal:
-        console.width = WIDTH
-    console.print(table)
-    console.print(f"aimed at: lib at most {TARGET:g} bare calls")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Measure the ways to a device.")
-    parser.add_argument("--json", action="store_true", help="give the figures as JSON")
-    parser.add_argument("--crashes", type=int, default=0, help="count crashes instead")
-    asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as name:
-        folder = built(Path(name))
-        if asked.crashes:
-            print(json.dumps(fallen(folder, asked.crashes), indent=2))
-            return
-        rows = measured(folder)
-    if asked.json:
-        print(json.dumps(rows, indent=2))
-    else:
-        show(rows)
+def crashes(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Let a library end in segmentation faults, and look what the runner holds afterwards."""
+    count = effort.of(500, 30, 3)
+    me = psutil.Process()
+    with built() as folder:
+        adapter = open_adapter(f"lib:{folder}/libfalls.so", TEXT)
+        times, before = [], (0, 0)
+        for place in range(count):
+            began = time.perf_counter()
+            adapter.reset()
+            with suppress(DeviceCrash):
+                adapter.read(0, 1)
+            times.append((time.perf_counter() - began) * 1000)
+            if place == min(10, count - 1):
+                before = me.num_fds(), me.memory_info().rss // 1000
+        after = me.num_fds(), me.memory_info().rss // 1000
+        adapter.close()
+    note = f"descriptors and kilobytes held after the tenth: {before[0]}, {before[1]:,}; "
+    note += f"after {count}: {after[0]}, {after[1]:,}"
+    return Found((rows[0].found(Figure.of(times), note=note),))
 
 
-if __name__ == "__main__":
-    main()
+def profile(effort: Effort) -> Profile:
+    """Look at the judge; what the other process does is the time in `read` and `write`."""
+    model = Model(load(TEXT))
+    cases = upload_cases(model, effort)
+    with built() as folder:
+        adapter = open_adapter(f"lib:{folder}/libslave.so", TEXT)
+        try:
+            session = Session(adapter, model, Oracle(model))
+            check(session, cases)
+            return profiled(partial(check, session, cases))
+        finally:
+            adapter.close()
+
+
+PARTS: Final = (
+    Part(
+        (
+            Row(
+                "exchange-lib",
+                "checked exchange, shared library (`lib`)",
+                "us",
+                "the same exchange by bare ctypes in the process, unchecked",
+                Target(Of.RATIO, 3.0),
+                "A bare call is less than a microsecond. Two changes of process keep the device "
+                "from touching its judge, and session and oracle interpret the texts.",
+            ),
+        ),
+        measure,
+        {"exchange-lib": profile},
+    ),
+    Part(
+        (Row("crash-lib", "back after a library ended in a segmentation fault", "ms"),),
+        crashes,
+    ),
+)

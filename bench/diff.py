@@ -1,87 +1,210 @@
-"""The only place that measures `ecatspec diff`: every two devices that have a manual.
+"""The only place that measures comparisons: of two finite machines, and `ecatspec diff`.
 
-    python bench/diff.py [--json]
-
-The command runs as a process of its own, start-up included; the product search of AL x DS402 is
-timed by itself, over tables that are there. A figure is the best of the rounds.
+The rival of a comparison is AALpy on the same Mealy machines, which are made before the clock runs:
+`bisimilar` gives one word that tells two machines apart, `compare_automata` looks for several.
 """
 
 from __future__ import annotations
 
 import json
 import subprocess
-import sys
-import time
+from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
+from complete import machine_of, of_aalpy
+from measure import (
+    COMMAND,
+    Effort,
+    Figure,
+    Found,
+    Of,
+    Part,
+    Profile,
+    Row,
+    Table,
+    Target,
+    in_turns,
+    number,
+    profiled,
+    rate,
+)
+
 from ecatspec.conformance.diff.behaviour import product
-from ecatspec.conformance.diff.machines import BOTH, Watched, explored, setups
+from ecatspec.conformance.diff.machines import BOTH, Explored, Watched, explored, setups
+from ecatspec.model.mealy import alike, distinguishing_word
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
-ROUNDS: Final = 3
-COMMAND: Final = (sys.executable, "-P", "-m", "ecatspec.conformance.cli", "diff")
-TARGET: Final = {"command": 2.0, "product": 0.02}
-"""Seconds that are aimed at."""
+    from ecatspec.model.mealy import Mealy
+
+PAIR: Final = ("kollmorgen-akd", "kollmorgen-s300")
+TARGET: Final = Target(Of.RATIO, 10.0, least=True)
+SOUGHT: Final = 10
+"""Words that `compare_automata` looks for if nothing else is said."""
 
 
-def best(call: Callable[[], object]) -> float:
-    """Give the seconds of the fastest of all rounds."""
+def with_one_wrong(machine: Mealy) -> Mealy:
+    """Give the machine with another output at its last transition."""
+    wrong = list(machine.out)
+    wrong[-1] = (wrong[-1] + 1) % len(machine.outputs)
+    return replace(machine, out=tuple(wrong))
+
+
+def machines(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Compare a machine with one that has a wrong output, and with its equal."""
+    from aalpy.utils.ModelChecking import bisimilar  # noqa: PLC0415
+
     found = []
-    for _ in range(ROUNDS):
-        began = time.perf_counter()
-        call()
-        found.append(time.perf_counter() - began)
-    return min(found)
+    rounds = effort.of(7, 3, 1)
+    for row in rows:
+        _, name, way = row.name.split(":")
+        machine = machine_of(effort.of(name, name, "esm"))
+        other = with_one_wrong(machine) if way == "differing" else replace(machine)
+        theirs = of_aalpy(machine), of_aalpy(other)
+        ours, rival = in_turns(
+            rounds,
+            partial(distinguishing_word, machine, other),
+            partial(bisimilar, *theirs, return_cex=True),
+        )
+        word = distinguishing_word(machine, other)
+        length = 0 if word is None else len(word)
+        assert length == len(bisimilar(*theirs, return_cex=True) or ()), "they do not agree"
+        size = f"{len(machine.states)} states, {len(machine.inputs)} inputs"
+        said = f"the shortest word has {length} inputs" if word else "they are equal"
+        note = f"{size}; {said}, and both say so"
+        found.append(row.found(rate(1, ours), rate(1, rival), note))
+    return Found(tuple(found))
 
 
-def told(first: str, second: str) -> dict[str, object]:
-    """Run the command once and give its JSON."""
-    done = subprocess.run((*COMMAND, first, second, "--json"), capture_output=True, check=False)
-    found: dict[str, object] = json.loads(done.stdout)
-    return found
-
-
-def searched(first: str, second: str) -> float | None:
-    """Give the seconds of the product search of AL x DS402; None: one of them is no such drive."""
+def pair(first: str, second: str) -> tuple[Explored, Explored] | None:
+    """Give AL x DS402 of two devices with their common inputs; None: one of them is no drive."""
     devices = [Watched(load_device(name)) for name in (first, second)]
     plans = [setups(device.model).get(BOTH) for device in devices]
     if plans[0] is None or plans[1] is None:
         return None
     inputs = [name for name in plans[0].alphabet if name in plans[1].alphabet]
-    one = explored(devices[0], plans[0], inputs, {})
-    other = explored(devices[1], plans[1], inputs, {})
-    return best(lambda: product(one, other))
+    return explored(devices[0], plans[0], inputs, {}), explored(devices[1], plans[1], inputs, {})
 
 
-def main() -> None:
-    """Measure all pairs and print a line for each, or all as JSON."""
+def products(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Search the product of two devices for all that differs."""
+    from aalpy.utils.ModelChecking import compare_automata  # noqa: PLC0415
+
+    both = pair(*PAIR)
+    assert both is not None
+    left = both[0].machine
+    theirs = of_aalpy(left), of_aalpy(alike(left, both[1].machine))
+    ours, rival = in_turns(
+        effort.of(7, 3, 1), partial(product, *both), partial(compare_automata, *theirs, SOUGHT)
+    )
+    searched = product(*both)
+    words = compare_automata(*theirs, SOUGHT)
+    note = (
+        f"{' and '.join(PAIR)}: {searched.pairs} pairs of states, {len(searched.met)} transitions "
+    )
+    note += f"differ, each with its shortest word; the rival found {len(words)} words at random"
+    return Found((rows[0].found(rate(1, ours), rate(1, rival), note),))
+
+
+def told(first: str, second: str) -> dict[str, list[object]]:
+    """Run the command once and give its JSON."""
+    command = (*COMMAND, "diff", first, second, "--json")
+    done = subprocess.run(command, capture_output=True, check=False)
+    found: dict[str, list[object]] = json.loads(done.stdout)
+    return found
+
+
+def pairs(effort: Effort) -> Iterator[tuple[str, str]]:
     names = [name for name in device_names() if load_device(name).manuals]
-    rows = []
-    for first, second in combinations(names, 2):
-        data: dict[str, object] = {}
-        seconds = best(lambda: data.update(told(first, second)))  # noqa: B023  used at once
-        facts, answers = data["facts"], data["answers"]
-        assert isinstance(facts, list)
-        assert isinstance(answers, list)
-        search = searched(first, second)
-        rows.append((first, second, seconds, search, len(facts), len(answers)))
-        if "--json" not in sys.argv:
-            shown = "        -" if search is None else f"{search * 1000:7.2f}ms"
-            print(
-                f"{first:15} {second:15} {seconds:6.2f} s  {shown}  "
-                f"{len(facts):3} facts {len(answers):3} answers",
-                flush=True,
+    every = list(combinations(names, 2))
+    return iter(every[: effort.of(len(every), 2, 1)])
+
+
+def commands(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Run `ecatspec diff` on all pairs of devices that have a manual."""
+    shown, slowest = [], 0.0
+    for first, second in pairs(effort):
+        (times,) = in_turns(effort.of(3, 1, 1), partial(told, first, second), warm=False)
+        data = told(first, second)
+        figure = Figure.of(times)
+        slowest = max(slowest, figure.median)
+        counts = (str(len(data["facts"])), str(len(data["answers"])))
+        shown.append((first, second, str(figure), *counts))
+    heads = ("A", "B", "seconds", "facts", "answers that differ")
+    table = Table("`ecatspec diff A B`, start-up included", heads, tuple(shown))
+    note = f"the slowest of {len(shown)} pairs of devices, {number(slowest)} s; start-up included"
+    return Found((rows[0].found(Figure(slowest, slowest, slowest), note=note),), (table,))
+
+
+def profile(name: str, way: str, effort: Effort) -> Profile:
+    machine = machine_of(effort.of(name, name, "esm"))
+    other = with_one_wrong(machine) if way == "differing" else replace(machine)
+    return profiled(lambda: [distinguishing_word(machine, other) for _ in range(20)])
+
+
+def profile_product(_: Effort) -> Profile:
+    both = pair(*PAIR)
+    assert both is not None
+    return profiled(lambda: [product(*both) for _ in range(20)])
+
+
+def profile_command(_: Effort) -> Profile:
+    both = [Watched(load_device(name)) for name in PAIR]
+    plans = [setups(device.model)[BOTH] for device in both]
+    inputs = [name for name in plans[0].alphabet if name in plans[1].alphabet]
+    return profiled(
+        lambda: [explored(d, plan, inputs, {}) for d, plan in zip(both, plans, strict=True)],
+        "cProfile, walking AL x DS402 of both devices",
+    )
+
+
+SIZES: Final = (("comp1", "differing"), ("comp1", "equal"), ("comp7", "differing"))
+
+PARTS: Final = (
+    Part(
+        tuple(
+            Row(
+                f"compare:{name}:{way}",
+                f"comparison of two machines, {name}, {way}",
+                "a second",
+                "AALpy `bisimilar`, with its counterexample",
+                TARGET,
+                "Both look at each pair of states and each input once, in Python; ours has flat "
+                "tables, the rival dictionaries and a queue with locks.",
             )
-    if "--json" in sys.argv:
-        keys = ("first", "second", "command", "product", "facts", "answers")
-        print(
-            json.dumps({"target": TARGET, "rows": [dict(zip(keys, r, strict=True)) for r in rows]})
-        )
-
-
-if __name__ == "__main__":
-    main()
+            for name, way in SIZES
+        ),
+        machines,
+        {f"compare:{n}:{w}": partial(profile, n, w) for n, w in SIZES},
+    ),
+    Part(
+        (
+            Row(
+                "compare:devices",
+                "product search of AL x DS402 of two devices, all differences",
+                "a second",
+                "AALpy `compare_automata`, up to 10 words",
+                TARGET,
+            ),
+        ),
+        products,
+        {"compare:devices": profile_product},
+    ),
+    Part(
+        (
+            Row(
+                "diff-command",
+                "`ecatspec diff A B`, the slowest pair",
+                "s",
+                target=Target(Of.FIGURE, 2.0),
+                why="Nearly all of it is walking both devices to get their tables.",
+            ),
+        ),
+        commands,
+        {"diff-command": profile_command},
+    ),
+)

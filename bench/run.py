@@ -1,328 +1,327 @@
-"""The only place that measures speed: ecatspec beside the bare thing, in one run of one process.
+"""The only place for the command of the benchmarks: one table of everything beside its rival.
 
-    python bench/run.py [--json]
+    python bench/run.py [--quick] [--only NAME ...] [--json FILE] [--write] [--profile NAME ...]
 
-Every pair takes turns, round by round, so that both see the same machine. A figure is the median
-of the rounds with the lowest and the highest; nothing here passes or fails.
+NAME is a topic or a row. `--write` fills docs/performance.md and draws docs/growth.svg.
+Nothing here passes or fails: a target that is missed is told with its profile.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import platform
-import statistics
-import subprocess
+import shlex
 import sys
-import time
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias, cast
+from typing import TYPE_CHECKING, Final
 
-import dpkt.pcapng
+import adapters
+import captures
+import commands
+import complete
+import diff
+import exchanges
+import growth
+import transfers
+import walks
+import wire
+from measure import HEADS, ROOT, Absent, Effort, Found, Profile, machine, measured, number
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as Drawn
 
-from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.monitor import monitor_file
-from ecatspec.conformance.process import ProcessAdapter
-from ecatspec.conformance.session import Session
-from ecatspec.generators.case import NO_LIMITS
-from ecatspec.generators.sdo_cover import sdo_cover
-from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
-from ecatspec.spec.language.load import load_device
+from ecatspec.conformance.files import write_whole
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.generators.case import Case
-    from ecatspec.model.candidates import Exchange, Mismatch
-    from ecatspec.model.values import ObjectKey
-    from ecatspec.spec.language.ir import Protocol
+    from measure import Curve, Part, Row, Table
 
-Call: TypeAlias = tuple[str, tuple[object, ...]]
-"""A method by name, and its arguments."""
-
-DEVICE: Final = "kollmorgen-akd"
-HOST: Final = "ecatspec.conformance.host"
-CAPTURE: Final = "soem-sdinfo-akd.pcapng"
-CASES: Final = "sdo/upload/"
-CHOICES: Final = {"emulation": "none", "mailbox_support": "present"}
-ROUNDS: Final = 7
-STARTS: Final = 15
-ROOT: Final = Path(__file__).resolve().parent.parent
-_PIPE_WIDTH: Final = 120
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """Median and spread of several rounds."""
-
-    median: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Figure:
-        return cls(statistics.median(values), min(values), max(values))
-
-    def __str__(self) -> str:
-        return f"{self.median:,.0f} ({self.low:,.0f} to {self.high:,.0f})"
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One measurement; `ecatspec` and `bare` are None when there was nothing to measure."""
-
-    what: str
-    unit: str
-    ecatspec: Figure | None
-    bare: Figure | None
-    beside: str
-    note: str
+TOPICS: Final[Mapping[str, tuple[Part, ...]]] = {
+    "exchanges": exchanges.PARTS,
+    "adapters": adapters.PARTS,
+    "walks": walks.PARTS,
+    "suites": complete.PARTS,
+    "compare": diff.PARTS,
+    "monitor": captures.PARTS,
+    "transfers": transfers.PARTS,
+    "commands": commands.PARTS,
+    "cable": wire.PARTS,
+    "growth": growth.PARTS,
+}
+PAGE: Final = ROOT / "docs" / "performance.md"
+PLOT: Final = ROOT / "docs" / "growth.svg"
+BEGIN: Final = "<!-- measured: bench/run.py writes from here -->"
+END: Final = "<!-- measured: to here -->"
+_PIPE_WIDTH: Final = 160
 
 
 @dataclass(slots=True)
-class Recorder:
-    """A device that remembers what was asked of it; as an adapter, as far as a session goes."""
+class Report:
+    """All that was measured in one process run."""
 
-    device: Adapter
-    calls: list[Call] = field(default_factory=list)
+    command: str
+    machine: Mapping[str, str]
+    rows: list[Row] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+    curves: list[Curve] = field(default_factory=list)
+    profiles: dict[str, Profile] = field(default_factory=dict)
 
-    def describe(self) -> Description:
-        return self.device.describe()
+    def add(self, found: Found) -> None:
+        self.rows += found.rows
+        self.tables += found.tables
+        self.curves += found.curves
 
-    def reset(self) -> None:
-        self.calls.append(("reset", ()))
-        self.device.reset()
-
-    def read(self, address: int, length: int) -> tuple[int, bytes]:
-        self.calls.append(("read", (address, length)))
-        return self.device.read(address, length)
-
-    def write(self, address: int, data: bytes) -> int:
-        self.calls.append(("write", (address, data)))
-        return self.device.write(address, data)
-
-    def advance(self, seconds: float) -> None:
-        self.calls.append(("advance", (seconds,)))
-        self.device.advance(seconds)
+    def missed(self) -> list[Row]:
+        return [row for row in self.rows if row.reached is False]
 
 
-class RecordingOracle(Oracle):
-    """An oracle that remembers what a session asked of it."""
+def chosen(names: Sequence[str]) -> list[Part]:
+    """Give the parts of topics and rows, all for no names, in the order of the table.
 
-    def __init__(self, model: Model) -> None:
-        super().__init__(model)
-        self.calls: list[Call] = []
+    Raises:
+        ValueError: A name is neither.
 
-    def power_on(
-        self,
-        choices: dict[str, str] | None = None,
-        objects: Mapping[ObjectKey, bytes] | None = None,
-    ) -> None:
-        self.calls.append(("power_on", (choices, objects)))
-        super().power_on(choices, objects)
-
-    def observe(self, exchange: Exchange) -> Mismatch | None:
-        self.calls.append(("observe", (exchange,)))
-        return super().observe(exchange)
-
-    def settled(self, time: int, *, unread: bool = False) -> bool:
-        assert not unread, "the cases of the benchmark read every answer"
-        self.calls.append(("settled", (time,)))
-        return super().settled(time)
-
-    def deadline(self, time: int) -> int | None:
-        self.calls.append(("deadline", (time,)))
-        return super().deadline(time)
+    """
+    known = {row.name for parts in TOPICS.values() for part in parts for row in part.rows}
+    for name in names:
+        if name not in TOPICS and name not in known:
+            rows = ", ".join(sorted(known))
+            raise ValueError(
+                f"there is nothing called {name}; topics: {', '.join(TOPICS)}; rows: {rows}"
+            )
+    return [
+        part
+        for topic, parts in TOPICS.items()
+        for part in parts
+        if not names or topic in names or any(row.name in names for row in part.rows)
+    ]
 
 
-# --- measuring ------------------------------------------------------------------------------------
+def take(
+    report: Report, parts: Sequence[Part], effort: Effort, tell: Callable[[str], None]
+) -> None:
+    """Measure parts, and profile what misses its target."""
+    for number_, part in enumerate(parts, 1):
+        tell(f"{number_} of {len(parts)}: {part.rows[0].what}")
+        found = measured(part, effort)
+        report.add(found)
+        for row in found.rows:
+            if row.reached is False and row.name in part.profiles:
+                tell(f"{number_} of {len(parts)}: profile of {row.what}")
+                report.profiles[row.name] = part.profiles[row.name](effort)
 
 
-def seconds(work: Callable[[], object]) -> float:
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
+def profile(
+    report: Report, names: Sequence[str], effort: Effort, tell: Callable[[str], None]
+) -> None:
+    """Take profiles without measuring.
+
+    Raises:
+        ValueError: There is no such row, or it has no profile.
+
+    """
+    for part in chosen(names):
+        for name, taken in part.profiles.items():
+            if name in names:
+                tell(f"profile of {name}")
+                report.profiles[name] = taken(effort)
+    if missing := set(names) - report.profiles.keys():
+        raise ValueError(f"there is no profile of {', '.join(sorted(missing))}")
 
 
-def in_turns(rounds: int, *works: Callable[[], object]) -> list[list[float]]:
-    """Give the seconds of each work in each round; one more round before that is not counted."""
-    found = [[seconds(work) for work in works] for _ in range(rounds + 1)][1:]
-    return [list(column) for column in zip(*found, strict=True)]
+# --- as JSON --------------------------------------------------------------------------------------
 
 
-def rate(count: int, times: Sequence[float]) -> Figure:
-    return Figure.of([count / each for each in times])
+def as_json(report: Report) -> str:
+    """Give all figures as data."""
+    data = {
+        "schema": "ecatspec.bench",
+        "schema_version": 1,
+        "command": report.command,
+        "machine": dict(report.machine),
+        "rows": [_row_data(row) for row in report.rows],
+        "tables": [asdict(table) for table in report.tables],
+        "curves": [
+            {**asdict(curve), "slope": curve.slope, "worst": curve.worst} for curve in report.curves
+        ],
+        "profiles": {name: asdict(taken) for name, taken in report.profiles.items()},
+    }
+    return json.dumps(data, indent=2) + "\n"
 
 
-def bound(
-    target: object, calls: Sequence[Call]
-) -> list[tuple[Callable[..., object], tuple[object, ...]]]:
-    """Look the methods up before the clock runs."""
-    return [(getattr(target, name), arguments) for name, arguments in calls]
+def _row_data(row: Row) -> dict[str, object]:
+    data = asdict(row)
+    if row.target is not None:
+        data["target"] |= {"of": row.target.of.name.lower(), "words": row.target.words(row.unit)}
+    return {**data, "ratio": row.ratio, "measured": row.measured, "reached": row.reached}
 
 
-def perform(calls: Sequence[tuple[Callable[..., object], tuple[object, ...]]]) -> None:
-    for method, arguments in calls:
-        method(*arguments)
+# --- as a page ------------------------------------------------------------------------------------
 
 
-def check(session: Session, cases: Sequence[Case]) -> None:
-    """Drive a device through the cases as a run does; a deviation ends the measurement."""
-    for case in cases:
-        session.begin(CHOICES)
-        for stimulus in case.stimuli:
-            session.apply(stimulus)
+def as_page(report: Report) -> str:
+    """Give what stands between the markers of the page."""
+    on = report.machine
+    where = f"{on['processor']}, {on['cores']} cores, {on['system']}, Python {on['python']}"
+    blocks = [
+        f"Measured on {on['date']} by `{report.command}` on {where}, load {on['load']} before.",
+        _grid(HEADS, [row.cells() for row in report.rows]),
+        _reached(report),
+        "### What each figure is",
+        "\n".join(f"- **{row.what}**: {row.note}." for row in report.rows if row.note),
+    ]
+    if missed := report.missed():
+        blocks.append("### Targets that are missed")
+        for row in missed:
+            blocks.append(f"**{row.what}** {_how_far(row)} {row.why}".rstrip())
+            if row.name in report.profiles:
+                taken = report.profiles[row.name]
+                blocks += [f"{taken.how}, {number(taken.seconds)} s:", _shares(taken)]
+    if report.curves:
+        blocks += [
+            "### Growth",
+            f"![time against size, both doubling; dashed: a straight line]({PLOT.name})",
+            _grid(
+                ("time", "of", "seconds", "power", "worst doubling / 2"),
+                [
+                    (
+                        curve.name,
+                        curve.unit,
+                        ", ".join(f"{size:,}: {number(took)}" for size, took in curve.points),
+                        f"{curve.slope:.2f}",
+                        f"{curve.worst:.2f}",
+                    )
+                    for curve in report.curves
+                ],
+            ),
+        ]
+    for table in report.tables:
+        blocks += [f"### {table.title}", _grid(table.heads, table.rows)]
+        blocks += [table.note] if table.note else []
+    return "\n\n".join(blocks)
 
 
-# --- what is measured -----------------------------------------------------------------------------
+def _reached(report: Report) -> str:
+    held = [row.reached for row in report.rows if row.target is not None]
+    counts = f"reached {held.count(True)}, missed {held.count(False)}, not measured "
+    return f"Of {len(held)} targets: {counts}{held.count(None)}."
 
 
-def exchanges(protocol: Protocol) -> list[Row]:
-    """Compare checked with bare exchanges: in the process, then with the device in another."""
-    model = Model(protocol)
-    model.dictionary.close()  # as a run does for a device that is made of the text
-    cases = [case for case in sdo_cover(model, NO_LIMITS) if case.name.startswith(CASES)]
-    recorder, recording = Recorder(make(DEVICE, {})), RecordingOracle(model)
-    recorded = Session(cast("Adapter", recorder), model, recording)
-    check(recorded, cases)
-    count = recorded.exchanges
+def _how_far(row: Row) -> str:
+    assert row.target is not None
+    assert row.measured is not None
+    return f"is {number(row.measured)} where {row.target.words(row.unit)} was wanted."
 
-    device = make(DEVICE, {})
-    session = Session(device, model, Oracle(model))
-    checked, bare, judged = in_turns(
-        ROUNDS,
-        partial(check, session, cases),
-        partial(perform, bound(device, recorder.calls)),
-        partial(perform, bound(Oracle(model), recording.calls)),
-    )
-    shares = _shares(checked, bare, judged)
-    note = f"{len(cases)} cases, {count} exchanges; {shares}"
-    inside = Row(
-        "checked exchanges, virtual device in the process",
-        "per second",
-        rate(count, checked),
-        rate(count, bare),
-        "the same calls on the device alone",
-        note,
-    )
 
-    asked = json.dumps({"device": DEVICE, "options": {}})
-    adapter = ProcessAdapter((sys.executable, "-P", "-m", HOST, "model", asked))
-    try:
-        session = Session(adapter, model, Oracle(model))
-        checked, bare, judged = in_turns(
-            ROUNDS,
-            partial(check, session, cases),
-            partial(perform, bound(adapter, recorder.calls)),
-            partial(perform, bound(Oracle(model), recording.calls)),
+def _shares(taken: Profile) -> str:
+    rows = [
+        (f"{s.part:.1%}", "" if s.calls is None else f"{s.calls:,}", f"`{s.where}`")
+        for s in taken.shares
+    ]
+    return _grid(("share", "calls", "where"), rows)
+
+
+def _grid(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines)
+
+
+def write(report: Report) -> None:
+    """Put the tables between the markers of the page, and draw the curves.
+
+    Raises:
+        ValueError: The page has no markers.
+
+    """
+    page = PAGE.read_text("utf-8")
+    before, begun, rest = page.partition(BEGIN)
+    _, ended, after = rest.partition(END)
+    if not (begun and ended):
+        raise ValueError(f"{PAGE.name} has lost its markers: {BEGIN} and {END}")
+    write_whole(PLOT, growth.drawing(report.curves))
+    write_whole(PAGE, f"{before}{BEGIN}\n\n{as_page(report)}\n\n{END}{after}")
+
+
+# --- on a terminal --------------------------------------------------------------------------------
+
+
+def show(report: Report, console: Console) -> None:
+    """Print the table, then the details."""
+    on = report.machine
+    caption = f"{on['date']}, {on['processor']}, {on['cores']} cores, Python {on['python']}"
+    if report.rows:
+        console.print(
+            _drawn("ecatspec beside its rivals", HEADS, [r.cells() for r in report.rows], caption)
         )
-    finally:
-        adapter.close()
-    outside = Row(
-        "checked exchanges, process adapter",
-        "per second",
-        rate(count, checked),
-        rate(count, bare),
-        "the same calls through the adapter alone",
-        f"the same exchanges; {_shares(checked, bare, judged)}",
-    )
-    return [inside, outside]
+        for row in report.rows:
+            if row.note:
+                console.print(f"{row.name}: {row.note}", markup=False, highlight=False)
+        console.print(_reached(report))
+    for table in report.tables:
+        console.print(_drawn(table.title, table.heads, table.rows, table.note))
+    for name, taken in report.profiles.items():
+        shares = [
+            (f"{s.part:.1%}", "" if s.calls is None else f"{s.calls:,}", s.where)
+            for s in taken.shares
+        ]
+        title = f"{name}: {taken.how}, {number(taken.seconds)} s"
+        console.print(_drawn(title, ("share", "calls", "where"), shares, ""))
 
 
-def _shares(checked: list[float], bare: list[float], judged: list[float]) -> str:
-    whole = statistics.median(checked)
-    oracle = statistics.median(judged) / whole
-    device = statistics.median(bare) / whole
-    rest = 1 - oracle - device  # what the session does itself; not measured, only left over
-    return f"oracle {oracle:.0%} of the time, device {device:.0%}, rest {rest:.0%}"
-
-
-def capture_file() -> Path:
-    named = os.environ.get("ECATSPEC_SHARED")
-    folder = Path(named) if named else ROOT.parent / "shared"
-    return folder / "captures" / CAPTURE
-
-
-def count_packets(path: Path) -> int:
-    with path.open("rb") as stream:
-        return sum(1 for _ in dpkt.pcapng.Reader(stream))
-
-
-def frames() -> Row:
-    """Compare judging a capture with reading it."""
-    path = capture_file()
-    what, beside = f"monitor, {CAPTURE}", "dpkt reads the same file"
-    if not path.is_file():
-        return Row(what, "frames per second", None, None, beside, "absent")
-    count = count_packets(path)
-    judged, read = in_turns(
-        ROUNDS, partial(monitor_file, path, DEVICE), partial(count_packets, path)
-    )
-    note = f"{count} frames; with compiling the model, without parsing the text"
-    return Row(what, "frames per second", rate(count, judged), rate(count, read), beside, note)
-
-
-def start_up() -> Row:
-    """Compare the start of the command with that of Python."""
-    script = Path(sys.executable).with_name("ecatspec")
-    module = [sys.executable, "-m", "ecatspec.conformance.cli"]
-    command = [str(script)] if script.is_file() else module
-    ours, python = in_turns(
-        STARTS,
-        partial(_start, [*command, "--help"]),
-        partial(_start, [sys.executable, "-c", "pass"]),
-    )
-    ours_ms, python_ms = (Figure.of([1000 * each for each in times]) for times in (ours, python))
-    note = "console script" if script.is_file() else "no console script: python -m"
-    return Row("ecatspec --help", "milliseconds", ours_ms, python_ms, "python -c pass", note)
-
-
-def _start(command: list[str]) -> None:
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
-
-
-# --- saying it ------------------------------------------------------------------------------------
-
-
-def show(rows: Sequence[Row]) -> None:
-    table = Table(
-        title=f"median (lowest to highest) of {ROUNDS} rounds, start-up of {STARTS}",
-        caption=f"Python {platform.python_version()}, {os.cpu_count()} cores",
-        show_lines=True,
-    )
-    table.add_column("what")
-    table.add_column("unit")
-    table.add_column("ecatspec", justify="right", no_wrap=True)
-    table.add_column("bare", justify="right", no_wrap=True)
-    table.add_column("bare is")
-    table.add_column("note")
+def _drawn(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str) -> Drawn:
+    table = Drawn(title=title, caption=caption, show_lines=True)
+    for head in heads:
+        table.add_column(head)
     for row in rows:
-        figures = ["absent" if f is None else str(f) for f in (row.ecatspec, row.bare)]
-        table.add_row(row.what, row.unit, *figures, row.beside, row.note)
-    console = Console()
+        table.add_row(*(cell.replace("`", "").replace("[", "\\[") for cell in row))
+    return table
+
+
+@contextmanager
+def telling(console: Console) -> Iterator[Callable[[str], None]]:
+    """Give what tells how far it is; on a terminal only."""
+    if not console.is_terminal:
+        yield lambda _: None
+        return
+    with console.status("") as status:
+        yield status.update
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description="Measure ecatspec beside its rivals.")
+    parser.add_argument(
+        "--quick", action="store_true", help="less work: a look, no figures to keep"
+    )
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="topics or rows")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures as data")
+    parser.add_argument("--write", action="store_true", help=f"write docs/{PAGE.name}")
+    parser.add_argument("--profile", nargs="+", default=[], metavar="NAME", help="only profiles")
+    asked = parser.parse_args(arguments)
+    if asked.write and (asked.only or asked.profile):
+        parser.error("the page has all figures of one run: leave out --only and --profile")
+    effort = Effort.QUICK if asked.quick else Effort.WHOLE
+    report = Report(shlex.join(["python", "bench/run.py", *arguments]), machine())
+    console, errors = Console(), Console(stderr=True)
     if not console.is_terminal:
         console.width = _PIPE_WIDTH
-    console.print(table)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description="Measure ecatspec beside the bare thing.")
-    parser.add_argument("--json", action="store_true", help="give the figures as JSON")
-    as_json: bool = parser.parse_args().json
-    rows = [*exchanges(load_device(DEVICE)), frames(), start_up()]
-    if as_json:
-        print(json.dumps([asdict(row) for row in rows], indent=2))
-    else:
-        show(rows)
+    try:
+        with telling(errors) as tell:
+            if asked.profile:
+                profile(report, asked.profile, effort, tell)
+            else:
+                take(report, chosen(asked.only), effort, tell)
+        if asked.write:
+            write(report)
+        if asked.json is not None:
+            write_whole(asked.json, as_json(report))
+    except (Absent, OSError, ValueError) as error:
+        print(f"bench: {error}", file=sys.stderr)
+        return 2
+    show(report, console)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

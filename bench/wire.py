@@ -1,29 +1,42 @@
 """The only place that measures `ecatspec simulate` on a cable, beside a bare echo loop.
 
-    python bench/wire.py [--json]
-
 It makes a network namespace of its own with two cables: at the far end of one is the virtual
-SubDevice, at that of the other a loop that gives each frame back as it is. Both take turns. It
-needs Linux, `unshare` and `ip`, and root or the right to make namespaces.
+SubDevice, at that of the other a loop that gives each frame back as it is. Both take turns. What is
+measured runs in a process inside the namespace, which prints what it found as JSON.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
+import shutil
+import signal
 import socket
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import pysoem
-from run import ROUNDS, Figure, Row, in_turns, rate, show
+from measure import (
+    COMMAND,
+    Absent,
+    Effort,
+    Figure,
+    Found,
+    Of,
+    Part,
+    Profile,
+    Row,
+    Target,
+    in_turns,
+    profiled_file,
+    rate,
+)
 
 from ecatspec.generators.stimulus import frame_bytes
 from ecatspec.generators.transfers import upload
@@ -36,9 +49,6 @@ if TYPE_CHECKING:
 
 DEVICE: Final = "kollmorgen-akd"
 SIMULATED, ECHOED = ("near", "far"), ("this", "that")
-READS: Final = 2000
-UPLOADS: Final = 500
-INSIDE: Final = "--inside"
 CABLES: Final = " && ".join(
     f"ip link add {a} type veth peer name {b} && ip link set {a} up && ip link set {b} up"
     for a, b in (SIMULATED, ECHOED)
@@ -54,11 +64,6 @@ while True:
     end.send(buffer[:length])
 """
 SOURCE: Final = bytes(6)
-
-# On a busy machine a frame may take longer than SOEM waits; in microseconds.
-pysoem.settings.timeouts.ret = 100_000
-pysoem.settings.timeouts.safe = 200_000
-pysoem.settings.timeouts.tx_mailbox = 500_000
 
 
 class End:
@@ -96,22 +101,31 @@ def running(command: list[str]) -> Iterator[None]:
         try:
             yield
         finally:
-            process.terminate()
+            process.send_signal(signal.SIGTERM)
+            process.wait(20)
 
 
-def register_read(wire: Wire, address: int) -> Row:
+# --- inside the namespace -------------------------------------------------------------------------
+
+
+def register_read(wire: Wire, address: int, rounds: int, count: int) -> tuple[Figure, Figure]:
     """Measure a read of AL Status: what the virtual SubDevice adds to the cable."""
     asked = Datagram(COMMANDS["APRD"], 1, 0, address, bytes(6), 0)
     frame = filled(wire.frame(SOURCE, (asked,)))
     ends = [End(name, wire.format.ethertype) for name, _ in (SIMULATED, ECHOED)]
-    rounds = [[end.median(frame, READS) for end in ends] for _ in range(ROUNDS + 1)][1:]
-    ours, bare = (Figure.of(list(column)) for column in zip(*rounds, strict=True))
-    note = f"median of {READS} trips a round; added: {ours.median - bare.median:.1f} us"
-    return Row("register read, round trip", "microseconds", ours, bare, "an echo loop", note)
+    found = [[end.median(frame, count) for end in ends] for _ in range(rounds + 1)][1:]
+    ours, bare = (Figure.of(list(column)) for column in zip(*found, strict=True))
+    return ours, bare
 
 
-def uploads(wire: Wire, model: Model) -> Row:
+def uploads(wire: Wire, model: Model, rounds: int, count: int) -> tuple[Figure, Figure]:
     """Measure SDO uploads by pysoem beside the frames of one, sent to the echo loop."""
+    import pysoem  # noqa: PLC0415  only this process needs it
+
+    # on a busy machine a frame may take longer than SOEM waits; in microseconds
+    pysoem.settings.timeouts.ret = 100_000
+    pysoem.settings.timeouts.safe = 200_000
+    pysoem.settings.timeouts.tx_mailbox = 500_000
     main_device = pysoem.Master()
     main_device.open(SIMULATED[0])
     try:
@@ -122,22 +136,13 @@ def uploads(wire: Wire, model: Model) -> Row:
         frames = frames_of_an_upload(wire, model)
 
         def read() -> None:
-            for _ in range(UPLOADS):
+            for _ in range(count):
                 device.sdo_read(0x1018, 1)
 
-        ours, bare = in_turns(ROUNDS, read, partial(end.trips, frames, UPLOADS))
+        ours, bare = in_turns(rounds, read, partial(end.trips, frames, count))
     finally:
         main_device.close()
-    beside = f"the {len(frames)} frames of one, from Python to an echo loop"
-    note = f"{UPLOADS} uploads of 4 bytes a round"
-    return Row(
-        "SDO uploads by pysoem",
-        "per second",
-        rate(UPLOADS, ours),
-        rate(UPLOADS, bare),
-        beside,
-        note,
-    )
+    return rate(count, ours), rate(count, bare)
 
 
 def frames_of_an_upload(wire: Wire, model: Model) -> list[bytes]:
@@ -153,34 +158,88 @@ def frames_of_an_upload(wire: Wire, model: Model) -> list[bytes]:
     return [filled(wire.frame(SOURCE, (datagram,))) for datagram in (*looks, *mail)]
 
 
-def measure() -> list[Row]:
+def inside(rounds: int, reads: int, asked: int, profile: str) -> None:
+    """Measure on the cables of this namespace, and print the figures; keep a profile if asked."""
     model = Model(load_device(DEVICE))
     wire = Wire(wire_format(model))
-    simulate = ["-m", "ecatspec.conformance.cli", "simulate", DEVICE, "--iface", SIMULATED[1]]
+    address = model.protocol.registers["al_status"].address
+    simulate = ("simulate", DEVICE, "--iface", SIMULATED[1])
+    command = [*COMMAND, *simulate]
+    if profile:
+        command = [*COMMAND[:2], "-m", "cProfile", "-o", profile, "-m", COMMAND[-1], *simulate]
     with ExitStack() as stack:
-        stack.enter_context(running([sys.executable, *simulate]))
+        stack.enter_context(running(command))
         stack.enter_context(running([sys.executable, "-c", ECHO]))
-        address = model.protocol.registers["al_status"].address
-        return [register_read(wire, address), uploads(wire, model)]
+        figures = [
+            *register_read(wire, address, rounds, reads),
+            *uploads(wire, model, rounds, asked),
+        ]
+    print(json.dumps([[one.median, one.low, one.high] for one in figures]))
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description="Measure simulate beside an echo loop.")
-    parser.add_argument("--json", action="store_true", help="give the figures as JSON")
-    parser.add_argument(INSIDE, action="store_true", help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if not given.inside:
-        rights = ["--map-root-user"] if os.geteuid() else []
-        again = [sys.executable, *sys.argv, INSIDE]
-        script = ["sh", "-c", f'{CABLES} && exec "$@"', "sh", *again]
-        return subprocess.run(["unshare", "--net", *rights, *script], check=False).returncode
-    rows = measure()
-    if given.json:
-        print(json.dumps([asdict(row) for row in rows], indent=2))
-    else:
-        show(rows)
-    return 0
+# --- outside --------------------------------------------------------------------------------------
+
+
+def within(*asked: str) -> list[Figure]:
+    """Lay the cables in a new namespace, and measure there in a process of its own."""
+    if not (sys.platform == "linux" and shutil.which("unshare") and shutil.which("ip")):
+        raise Absent("namespaces need Linux, unshare and ip")
+    rights = ["--map-root-user"] if os.geteuid() else []
+    again = [sys.executable, __file__, *asked]
+    script = ["sh", "-c", f'{CABLES} && exec "$@"', "sh", *again]
+    done = subprocess.run(
+        ["unshare", "--net", *rights, *script], capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        last = done.stderr.strip().splitlines() or ["no word"]
+        raise Absent(f"no cable can be laid here: {last[-1]}")
+    return [Figure(*each) for each in json.loads(done.stdout)]
+
+
+def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Measure both on the same cables."""
+    read, upload_row = rows
+    reads, asked = effort.of(2000, 500, 20), effort.of(500, 100, 5)
+    figures = within(str(effort.of(7, 3, 1)), str(reads), str(asked), "")
+    note = f"median of {reads} trips a round"
+    said = f"{asked} uploads of 4 bytes a round; the rival sends the five frames of one from Python"
+    return Found((read.found(*figures[:2], note), upload_row.found(*figures[2:], said)))
+
+
+def profile(effort: Effort) -> Profile:
+    """Profile the virtual SubDevice while it answers, mostly uploads."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "profile"
+        within("1", "10", str(effort.of(2000, 500, 5)), str(path))
+        return profiled_file(path, "cProfile of `simulate`, start-up included")
+
+
+PARTS: Final = (
+    Part(
+        (
+            Row(
+                "cable-read",
+                "register read over a cable, round trip",
+                "us",
+                "an echo loop in Python",
+                Target(Of.ADDED, 20.0),
+            ),
+            Row(
+                "cable-upload",
+                "SDO uploads by pysoem through `simulate`",
+                "a second",
+                "the frames of one, to an echo loop",
+                Target(Of.FIGURE, 12_000.0, least=True),
+                "An upload is five frames: three looks at mailboxes, the request, the answer. "
+                "The cable and the frames take much of the time, the interpreter of the texts "
+                "the rest: the message is decoded, a rule is chosen, the answer is encoded.",
+            ),
+        ),
+        measure,
+        {"cable-upload": profile},
+    ),
+)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    inside(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), sys.argv[4])

@@ -1,0 +1,185 @@
+"""The only place that measures the monitor: large captures, judged by us and written by tshark.
+
+The captures are those of the folder of evidence, repeated with their times shifted until the file
+is as large as wanted. The rival dissects the same frames and writes of each what the monitor looks
+at: number, time, command, addresses, length, data, working counter.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import dpkt
+from measure import (
+    COMMAND,
+    Absent,
+    Effort,
+    Figure,
+    Found,
+    Of,
+    Part,
+    Profile,
+    Ran,
+    Row,
+    Target,
+    number,
+    profiled,
+    ran,
+    rate,
+    shared,
+)
+
+from ecatspec.conformance.monitor import monitor_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+LARGE: Final = "soem-single-lan9252"
+"""To OP without a mailbox: the monitor follows it for as long as it is."""
+OTHERS: Final = (("soem-sdinfo-akd", 2), ("replay-ek1914-el3004-mailbox", 4))
+"""Captures with mailboxes, and how often each is repeated."""
+FIELDS: Final = (
+    "frame.number",
+    "frame.time_epoch",
+    *(f"ecat.{name}" for name in ("cmd", "adp", "ado", "cnt", "data")),
+    "ecat.subframe.length",
+)
+MEGABYTE: Final = 1_000_000
+
+
+@contextmanager
+def repeated(name: str, times: int | None = None, size: int = 0) -> Iterator[tuple[Path, int]]:
+    """Give a capture that is one of ours so often, or so many bytes long, and its frames."""
+    with shared("captures", f"{name}.pcapng").open("rb") as stream:
+        packets = list(dpkt.pcapng.Reader(stream))
+    span = packets[-1][0] - packets[0][0] + 1
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.pcap"
+        number = 0
+        with path.open("wb") as file:
+            writer = dpkt.pcap.Writer(file)
+            while number < times if times is not None else file.tell() < size:
+                for time, frame in packets:
+                    writer.writepkt(frame, ts=time + number * span)
+                number += 1
+        yield path, number * len(packets)
+
+
+def tshark() -> str:
+    """Give the program of the rival."""
+    program = shutil.which("tshark")
+    if program is None:
+        raise Absent("tshark is not installed")
+    return program
+
+
+def judged(path: Path) -> Ran:
+    """Run the monitor on a capture, as a command."""
+    found = ran((*COMMAND, "monitor", str(path), "--json"))
+    assert found.status in {0, 1, 2}, f"the monitor ended with {found.status}"
+    return found
+
+
+def written(path: Path) -> Ran:
+    """Have tshark write the fields of a capture."""
+    chosen = [option for name in FIELDS for option in ("-e", name)]
+    found = ran((tshark(), "-n", "-r", str(path), "-T", "fields", *chosen))
+    assert found.status == 0, f"tshark ended with {found.status}"
+    return found
+
+
+def speed(path: Path, frames: int, rounds: int) -> tuple[Figure, Figure]:
+    """Give frames a second of both, in turns."""
+    pairs = [(judged(path).seconds, written(path).seconds) for _ in range(rounds)]
+    ours, rival = (list(column) for column in zip(*pairs, strict=True))
+    return rate(frames, ours), rate(frames, rival)
+
+
+def large(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Judge a large capture, and a quarter of it for the memory."""
+    tshark()
+    fast, flat = rows
+    size = effort.of(100, 8, 1) * MEGABYTE
+    with repeated(LARGE, size=size // 4) as (path, frames):
+        ours, rival = speed(path, frames, effort.of(3, 1, 1))
+        small = judged(path).peak
+    with repeated(LARGE, size=size) as (path, all_frames):
+        whole = judged(path)
+    quarter, full = f"{number(size / 4 / MEGABYTE)} MB", f"{number(size / MEGABYTE)} MB"
+    note = f"{LARGE} repeated to {quarter}, {frames:,} frames, start-up of both included; of the "
+    note += (
+        f"{all_frames:,} frames of {full} ours judged {all_frames / whole.seconds:,.0f} a second"
+    )
+    told = f"resident at most {number(small)} MB at {quarter}, {number(whole.peak)} MB at {full}"
+    peaks = [Figure(one, one, one) for one in (whole.peak, small)]
+    return Found((fast.found(ours, rival, note), flat.found(*peaks, told)))
+
+
+def others(rows: tuple[Row, ...], effort: Effort) -> Found:
+    """Judge captures with mailboxes."""
+    tshark()
+    found = []
+    for row, (name, times) in zip(rows, OTHERS, strict=True):
+        with repeated(name, effort.of(times, times, 1)) as (path, frames):
+            ours, rival = speed(path, frames, effort.of(3, 1, 1))
+        note = f"repeated {times} times: {frames:,} frames, start-up of both included"
+        found.append(row.found(ours, rival, note))
+    return Found(tuple(found))
+
+
+def profile(name: str, times: int, effort: Effort) -> Profile:
+    with repeated(name, effort.of(times, times, 1)) as (path, _):
+        return profiled(partial(monitor_file, path, "standard"))
+
+
+_FRAMES: Final = Target(Of.RATIO, 1.0, least=True)
+_BESIDE: Final = "tshark writes the same fields"
+_WHY: Final = (
+    "tshark is C, and only takes frames apart; the monitor is Python, follows each SubDevice "
+)
+
+PARTS: Final = (
+    Part(
+        (
+            Row(
+                "monitor",
+                "monitor of a large capture",
+                "frames a second",
+                _BESIDE,
+                _FRAMES,
+                f"{_WHY}and asks the texts about each frame.",
+            ),
+            Row(
+                "monitor-memory",
+                "monitor, memory of four times the capture",
+                "MB",
+                "the same at a quarter of the size",
+                Target(Of.RATIO, 1.1),
+                "Something is kept for each frame.",
+            ),
+        ),
+        large,
+        {"monitor": partial(profile, LARGE, 20)},
+    ),
+    Part(
+        tuple(
+            Row(
+                f"monitor-{name}",
+                f"monitor of a capture with a mailbox, {name}",
+                "frames a second",
+                _BESIDE,
+                _FRAMES,
+                f"{_WHY}with all states that may explain it. After a start that was cut off, or a "
+                "message that the capture lacks, these are thousands.",
+            )
+            for name, _ in OTHERS
+        ),
+        others,
+        {f"monitor-{name}": partial(profile, name, times) for name, times in OTHERS},
+    ),
+)

@@ -116,8 +116,8 @@ def large(rows: tuple[Row, ...], effort: Effort) -> Found:
         f"{all_frames:,} frames of {full} ours judged {all_frames / whole.seconds:,.0f} a second"
     )
     told = f"resident at most {number(small)} MB at {quarter}, {number(whole.peak)} MB at {full}"
-    peaks = [Figure(one, one, one) for one in (whole.peak, small)]
-    return Found((fast.found(ours, rival, note), flat.found(*peaks, told)))
+    memory = flat.found(Figure.single(whole.peak), Figure.single(small), told)
+    return Found((fast.found(ours, rival, note), memory))
 
 
 def others(rows: tuple[Row, ...], effort: Effort) -> Found:
@@ -127,7 +127,7 @@ def others(rows: tuple[Row, ...], effort: Effort) -> Found:
     for row, (name, times) in zip(rows, OTHERS, strict=True):
         with repeated(name, effort.of(times, times, 1)) as (path, frames):
             ours, rival = speed(path, frames, effort.of(3, 1, 1))
-        note = f"repeated {times} times: {frames:,} frames, start-up of both included"
+        note = f"repeated to {frames:,} frames, start-up of both included"
         found.append(row.found(ours, rival, note))
     return Found(tuple(found))
 

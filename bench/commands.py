@@ -165,9 +165,8 @@ def memory(rows: tuple[Row, ...], effort: Effort) -> Found:
     late = [size for at, size in found.memory if at > warm] or [early]
     note = f"{DEVICE}, stopped after {number(found.seconds)} s; {number(early)} MB at most in the "
     note += f"first {number(warm)} s, {number(max(late))} MB at most afterwards"
-    peak = Figure(found.peak, found.peak, found.peak)
-    after, before = Figure(max(late), min(late), max(late)), Figure(early, early, early)
-    return Found((most.found(peak, note=note), growth.found(after, before, note)))
+    after = growth.found(Figure.single(max(late)), Figure.single(early), note)
+    return Found((most.found(Figure.single(found.peak), note=note), after))
 
 
 def judged(effort: Effort) -> Profile:

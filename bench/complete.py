@@ -228,12 +228,12 @@ def _filled(row: Row, every: dict[str, Measured], slowest: dict[int, float | Non
         took = slowest[int(method)]
         if not took:
             return replace(row, note="not measured: a certificate is not exact, or not asked for")
-        return row.found(_single(took), note="of all devices the slowest")
+        return row.found(Figure.single(took), note="of all devices the slowest")
     if machine not in every:
         return replace(
             row, note=f"not measured: the machine {machine} is not there, or is left out here"
         )
-    found = every[machine].get(method)
+    found: Any = every[machine].get(method)
     value = found.get(what) if isinstance(found, dict) else found
     if value is None:
         return replace(row, note=f"not measured: {method} on {machine}")
@@ -250,11 +250,7 @@ def _filled(row: Row, every: dict[str, Measured], slowest: dict[int, float | Non
             took, theirs = found["seconds"], every[machine][other]["seconds"]
             note = f"both complete for as many states; made in {number(took * 1000)} ms, "
             note += f"the rival's in {number(theirs * 1000)} ms"
-    return row.found(_single(value), None if rival is None else _single(rival), note)
-
-
-def _single(value: float) -> Figure:
-    return Figure(value, value, value)
+    return row.found(Figure.single(value), None if rival is None else Figure.single(rival), note)
 
 
 def _sizes(every: dict[str, Measured]) -> Table:

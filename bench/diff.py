@@ -137,7 +137,7 @@ def commands(rows: tuple[Row, ...], effort: Effort) -> Found:
     heads = ("A", "B", "seconds", "facts", "answers that differ")
     table = Table("`ecatspec diff A B`, start-up included", heads, tuple(shown))
     note = f"the slowest of {len(shown)} pairs of devices, {number(slowest)} s; start-up included"
-    return Found((rows[0].found(Figure(slowest, slowest, slowest), note=note),), (table,))
+    return Found((rows[0].found(Figure.single(slowest), note=note),), (table,))
 
 
 def profile(name: str, way: str, effort: Effort) -> Profile:

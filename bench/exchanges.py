@@ -137,7 +137,8 @@ def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
     outside = ProcessAdapter((sys.executable, "-P", "-m", HOST, "model", asked))
     found, shares = [], []
     try:
-        for row, device in zip(rows, (make(DEVICE, {}), outside), strict=True):
+        devices: tuple[Adapter, ...] = (make(DEVICE, {}), outside)
+        for row, device in zip(rows, devices, strict=True):
             session = Session(device, model, Oracle(model))
             checked, bare, judged = in_turns(
                 rounds,

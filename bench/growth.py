@@ -170,7 +170,7 @@ def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
             f"{sizes[0]:,} to {sizes[-1]:,} {unit}, {points[-1][1]:.2f} s for the most; the worst "
         )
         note += f"doubling takes {2 * curve.worst:.2f} times as long"
-        found.append(row.found(Figure(curve.slope, curve.slope, curve.slope), note=note))
+        found.append(row.found(Figure.single(curve.slope), note=note))
         curves.append(curve)
     return Found(tuple(found), (), tuple(curves))
 

@@ -67,6 +67,11 @@ class Figure:
     def of(cls, values: Sequence[float]) -> Figure:
         return cls(statistics.median(values), min(values), max(values))
 
+    @classmethod
+    def single(cls, value: float) -> Figure:
+        """Give what was found once, or is the same each time."""
+        return cls(value, value, value)
+
     def __str__(self) -> str:
         if self.low == self.high:
             return number(self.median)
@@ -243,11 +248,11 @@ class Part:
 
 
 def measured(part: Part, effort: Effort) -> Found:
-    """Measure a part; what is not there is a row that says so."""
+    """Measure a part; what is not there, or went wrong, is a row that says so."""
     try:
         return part.measure(part.rows, effort)
-    except Absent as absent:
-        return Found(tuple(replace(row, note=f"not measured: {absent}") for row in part.rows))
+    except (Absent, AssertionError, OSError, subprocess.SubprocessError) as error:
+        return Found(tuple(replace(row, note=f"not measured: {error}") for row in part.rows))
 
 
 # --- taking time ----------------------------------------------------------------------------------

@@ -58,7 +58,7 @@ class Bus(canopen.Network):
 def ends(size: int) -> Any:  # noqa: ANN401  the package has no types
     """Give the rival's client, on a bus with its own server."""
     objects = ObjectDictionary()
-    variable = ODVariable("long", *KEY)
+    variable: Any = ODVariable("long", *KEY)
     variable.data_type, variable.access_type = datatypes.DOMAIN, "rw"
     variable.default = bytes(size)
     objects.add_object(variable)

@@ -200,10 +200,11 @@ def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
     """Measure both on the same cables."""
     read, upload_row = rows
     reads, asked = effort.of(2000, 500, 20), effort.of(500, 100, 5)
-    figures = within(str(effort.of(7, 3, 1)), str(reads), str(asked), "")
+    rounds = effort.of(7, 3, 1)
+    one, echo, asking, frames = within(str(rounds), str(reads), str(asked), "")
     note = f"median of {reads} trips a round"
     said = f"{asked} uploads of 4 bytes a round; the rival sends the five frames of one from Python"
-    return Found((read.found(*figures[:2], note), upload_row.found(*figures[2:], said)))
+    return Found((read.found(one, echo, note), upload_row.found(asking, frames, said)))
 
 
 def profile(effort: Effort) -> Profile:

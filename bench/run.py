@@ -289,6 +289,16 @@ def telling(console: Console) -> Iterator[Callable[[str], None]]:
         yield status.update
 
 
+def _command(asked: argparse.Namespace) -> str:
+    """Give the command without the names of files, which are those of this machine."""
+    words = ["python", "bench/run.py"]
+    words += [f"--{name}" for name in ("quick", "write") if getattr(asked, name)]
+    for name in ("only", "profile"):
+        chosen_names: list[str] = getattr(asked, name)
+        words += [f"--{name}", *chosen_names] if chosen_names else []
+    return shlex.join(words)
+
+
 def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description="Measure ecatspec beside its rivals.")
     parser.add_argument(
@@ -302,7 +312,7 @@ def main(arguments: Sequence[str]) -> int:
     if asked.write and (asked.only or asked.profile):
         parser.error("the page has all figures of one run: leave out --only and --profile")
     effort = Effort.QUICK if asked.quick else Effort.WHOLE
-    report = Report(shlex.join(["python", "bench/run.py", *arguments]), machine())
+    report = Report(_command(asked), machine())
     console, errors = Console(), Console(stderr=True)
     if not console.is_terminal:
         console.width = _PIPE_WIDTH

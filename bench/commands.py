@@ -139,7 +139,7 @@ def workers(rows: tuple[Row, ...], effort: Effort) -> Found:
         raise Absent("two workers need two cores")
     device = effort.of(DEVICE, FEW, FEW)
     depth = effort.of("default", "default", "quick")
-    only = effort.of((), (), ("--only", "al"))
+    only = effort.of((), (), ("--only", "mailbox"))
     with tempfile.TemporaryDirectory() as folder:
 
         def work(count: int) -> None:

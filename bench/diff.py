@@ -118,6 +118,10 @@ def told(first: str, second: str) -> dict[str, list[object]]:
     return found
 
 
+def _into(data: dict[str, list[object]], first: str, second: str) -> None:
+    data.update(told(first, second))
+
+
 def pairs(effort: Effort) -> Iterator[tuple[str, str]]:
     names = [name for name in device_names() if load_device(name).manuals]
     every = list(combinations(names, 2))
@@ -128,8 +132,9 @@ def commands(rows: tuple[Row, ...], effort: Effort) -> Found:
     """Run `ecatspec diff` on all pairs of devices that have a manual."""
     shown, slowest = [], 0.0
     for first, second in pairs(effort):
-        (times,) = in_turns(effort.of(3, 1, 1), partial(told, first, second), warm=False)
-        data = told(first, second)
+        data: dict[str, list[object]] = {}
+        work = partial(_into, data, first, second)
+        (times,) = in_turns(effort.of(3, 1, 1), work, warm=False)
         figure = Figure.of(times)
         slowest = max(slowest, figure.median)
         counts = (str(len(data["facts"])), str(len(data["answers"])))

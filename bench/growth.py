@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Sized = Callable[[int], Callable[[], object]]
     """Give the work of a size, made ready so that only the work is timed."""
 
-DEVICE: Final = "kollmorgen-akd"
+DEVICE: Final = "beckhoff-el6720"
 DOUBLINGS: Final = 4
 BLOCK: Final = 32
 """Cases that are repeated, so that each size has the same mix."""

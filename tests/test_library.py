@@ -441,7 +441,7 @@ def test_a_crash_is_a_verdict_and_the_run_goes_on(
 
 
 def test_sixty_crashes_leave_nothing_behind(hostile: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As bench/adapters.py does with a thousand."""
+    """As bench/adapters.py does with hundreds."""
     monkeypatch.setenv("HOSTILE", "segmentation fault")
     adapter = open_adapter(f"lib:{hostile}", "standard")
     held = used = 0

@@ -117,7 +117,7 @@ def started(name: str, _: Effort) -> Profile:
 def proofs(rows: tuple[Row, ...], effort: Effort) -> Found:
     """Prove all texts that are shipped."""
     asked = (*COMMAND, "prove", *effort.of((), (), (SMALL,)))
-    (times,) = in_turns(effort.of(3, 1, 1), partial(quietly, asked), warm=False)
+    (times,) = in_turns(effort.of(2, 1, 1), partial(quietly, asked), warm=False)
     names = effort.of(("standard", *device_names()), ("standard", *device_names()), (SMALL,))
     note = f"{len(names)} specifications: {', '.join(names)}; as many at once as there are cores"
     return Found((rows[0].found(Figure.of(times), note=note),))
@@ -148,7 +148,7 @@ def workers(rows: tuple[Row, ...], effort: Effort) -> Found:
             asked = (*COMMAND, "run", device, "--results", str(path), "--depth", depth, *only)
             quietly((*asked, "--workers", str(count)))
 
-        two, one = in_turns(effort.of(3, 1, 1), partial(work, 2), partial(work, 1), warm=False)
+        two, one = in_turns(effort.of(2, 1, 1), partial(work, 2), partial(work, 1), warm=False)
     note = f"{device}, depth {depth}; start-up of both included"
     return Found((rows[0].found(Figure.of(two), Figure.of(one), note),))
 
@@ -174,8 +174,8 @@ def judged(effort: Effort) -> Profile:
     from ecatspec.conformance.runner import run_device  # noqa: PLC0415
 
     device = effort.of(DEVICE, FEW, FEW)
-    work = partial(run_device, device, "model", depth=effort.of("default", "default", "quick"))
-    return profiled(work, f"cProfile, one process, {device}")
+    work = partial(run_device, device, "model", depth="quick")
+    return profiled(work, f"cProfile, one process, {device}, depth quick")
 
 
 PARTS: Final = (

@@ -69,10 +69,6 @@ def text_of_rules(count: int, on_an_input: int = ON_AN_INPUT) -> str:
             f"    from IDLE on stroke_{rule // on_an_input}",
         ]
         lines += [f"    when number == {rule}", "    goto IDLE", f"    set last = {rule}"]
-    for number in inputs:
-        last = min(count, (number + 1) * on_an_input)
-        lines += ["", f"  gap others_{number} [GRO-01]", f"    from IDLE on stroke_{number}"]
-        lines += [f"    when number < {number * on_an_input} or number >= {last}"]
     return "\n".join((*lines, ""))
 
 

@@ -53,7 +53,7 @@ site: $(VENV)/developed  ## build the documentation as HTML in site/, without a 
 mutants: $(VENV)/installed  ## measure what the suites kill, and write docs/mutants.md (hours)
 	$(BIN)/python docs/mutants.py
 
-bench: $(VENV)/measured  ## measure, beside rivals (about 20 minutes); BENCH=--write fills docs/performance.md
+bench: $(VENV)/measured  ## measure, beside rivals (half an hour); BENCH=--write fills docs/performance.md
 	$(BIN)/python bench/run.py $(BENCH)
 
 clean:  ## remove everything made here

@@ -249,7 +249,7 @@ PARTS: Final = (
                 "memory of an exhaustive run",
                 "MB",
                 target=Target(Of.FIGURE, 300.0),
-                why="What was worked out once is kept: see the shares of time for who asks for it.",
+                why="It grows with the run; what holds it was not measured.",
             ),
             Row(
                 "memory-growth",
@@ -257,7 +257,8 @@ PARTS: Final = (
                 "MB",
                 "the most in the first minute",
                 Target(Of.RATIO, 1.05),
-                "Verdicts are kept until the report, and what was worked out once is kept too.",
+                "Verdicts are kept until the report, and what was worked out once is kept for all "
+                "of the run; how much each of them holds was not measured.",
             ),
         ),
         memory,

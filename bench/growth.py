@@ -226,9 +226,7 @@ PARTS: Final = (
                 "No two rules of one input may take it in the same state, so each pair of them is "
                 "compared. The texts that are shipped have at most a few dozen on one input.",
             ),
-            _row(
-                "growth-frames", "time to write and judge a capture by frames", "See the profile."
-            ),
+            _row("growth-frames", "time of the monitor by repeated frames", "See the profile."),
         ),
         measure,
         {name: partial(profile, name) for name in KINDS},

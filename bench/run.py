@@ -169,11 +169,11 @@ def as_page(report: Report) -> str:
         f"Measured on {on['date']} by `{report.command}` on {where}, load {on['load']} before.",
         _grid(HEADS, [row.cells() for row in report.rows]),
         _reached(report),
-        "### What each figure is",
+        "## What each figure is",
         "\n".join(f"- **{row.what}**: {row.note}." for row in report.rows if row.note),
     ]
     if missed := report.missed():
-        blocks.append("### Targets that are missed")
+        blocks.append("## Targets that are missed")
         for row in missed:
             blocks.append(f"**{row.what}** {_how_far(row)} {row.why}".rstrip())
             if row.name in report.profiles:
@@ -181,7 +181,7 @@ def as_page(report: Report) -> str:
                 blocks += [f"{taken.how}, {number(taken.seconds)} s:", _shares(taken)]
     if report.curves:
         blocks += [
-            "### Growth",
+            "## Growth",
             f"![time against size, both doubling; dashed: a straight line]({PLOT.name})",
             _grid(
                 ("time", "of", "seconds", "power", "worst doubling / 2"),
@@ -198,7 +198,7 @@ def as_page(report: Report) -> str:
             ),
         ]
     for table in report.tables:
-        blocks += [f"### {table.title}", _grid(table.heads, table.rows)]
+        blocks += [f"## {table.title}", _grid(table.heads, table.rows)]
         blocks += [table.note] if table.note else []
     return "\n\n".join(blocks)
 

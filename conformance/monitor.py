@@ -68,16 +68,14 @@ class Follower:
     _known: Explanations | None = None
     """The explanations after the last look: the same again tell nothing new."""
 
+    def begin_after(self, transaction: Transaction) -> None:
+        """Take in what was written to all before anything was seen of this one."""
+        if transaction.confirmed and transaction.done:
+            self.oracle.holding(_exchange(transaction))
+
     def follow(self, transaction: Transaction) -> None:
         """Judge one access; after a mismatch go on from what it showed."""
-        exchange = Exchange(
-            round(transaction.time * _MICROSECONDS),
-            transaction.write,
-            transaction.address,
-            transaction.data,
-            transaction.working_counter if transaction.done else 0,
-            f"frame {transaction.frame}",
-        )
+        exchange = _exchange(transaction)
         if not transaction.confirmed:
             self.lost += 1
             if transaction.write:
@@ -164,6 +162,17 @@ class Follower:
         )
 
 
+def _exchange(transaction: Transaction) -> Exchange:
+    return Exchange(
+        round(transaction.time * _MICROSECONDS),
+        transaction.write,
+        transaction.address,
+        transaction.data,
+        transaction.working_counter if transaction.done else 0,
+        f"frame {transaction.frame}",
+    )
+
+
 @once
 def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, str]:  # noqa: FBT001
     """Give what an access to registers of the AL says in words, and what it says of the state."""
@@ -203,7 +212,7 @@ def monitor_file(
             oracle.unknown()
             followers[identity] = new = Follower(model, oracle)
             for earlier in to_all:
-                new.follow(earlier)
+                new.begin_after(earlier)
         return followers[identity]
 
     for number, transaction in enumerate(capture):

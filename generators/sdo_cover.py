@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import WAY_UP, case_in
@@ -17,6 +18,7 @@ from ecatspec.generators.transfers import (
     write,
 )
 from ecatspec.model.dictionary import encode_value, size_of, size_varies
+from ecatspec.model.once import once
 from ecatspec.spec.language.ir import Access, Binary, In, Literal, Name, SInt
 from ecatspec.spec.language.scope import nodes_in, parts_of
 
@@ -58,15 +60,18 @@ def is_written(entry: ObjectEntry) -> bool:
 
 def read_back(model: Model, entry: ObjectEntry) -> list[Stimulus]:
     """Read an entry and its neighbours in the dictionary: a write must not reach them."""
-    entries = sorted(
-        (e for e in model.protocol.objects if e.access is not Access.WRITE and not e.volatile),
-        key=lambda e: (e.index, e.subindex),
-    )
-    place = (entry.index, entry.subindex)
-    before = [e for e in entries if (e.index, e.subindex) < place][-1:]
-    own = [e for e in entries if (e.index, e.subindex) == place]
-    after = [e for e in entries if (e.index, e.subindex) > place][:1]
-    return [s for e in (*own, *after, *before) for s in read(e.index, e.subindex)]
+    places = _lasting(model)
+    place = entry.index, entry.subindex
+    first, end = bisect_left(places, place), bisect_right(places, place)
+    looks = (*places[first:end], *places[end : end + 1], *places[max(first - 1, 0) : first])
+    return [stimulus for look in looks for stimulus in read(*look)]
+
+
+@once
+def _lasting(model: Model) -> tuple[tuple[int, int], ...]:
+    """Give the places of what can be read and changes by writes alone, in order."""
+    lasting = (e for e in model.protocol.objects if e.access is not Access.WRITE)
+    return tuple(sorted((e.index, e.subindex) for e in lasting if not e.volatile))
 
 
 def writing(model: Model, entry: ObjectEntry, requests: Sequence[Stimulus]) -> list[Stimulus]:

@@ -105,10 +105,6 @@ class Candidate:
             self.state, inbox, self.outbox, self.loose, self.ready, self.last, self.befell
         )
 
-    def beside_state(self) -> tuple[object, ...]:
-        """Give all but the state."""
-        return self.inbox, self.outbox, self.loose, self.ready, self.last, self.befell
-
     def beside_inbox(self) -> tuple[object, ...]:
         """Give all but the inputs to serve."""
         return self.state, self.outbox, self.loose, self.ready, self.last, self.befell

@@ -19,7 +19,6 @@ from ecatspec.model.candidates import (
     with_alarms,
 )
 from ecatspec.model.compiled import MAILBOX
-from ecatspec.model.covered import widest
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.feeding import fed, widened
@@ -449,6 +448,17 @@ class Oracle:
         idle = not within and is_idle(self.model, state, event)
         return None if idle else Pending(event, time + within, within, time)
 
+    def holding(self, exchange: Exchange) -> None:
+        """Take it that registers hold what was written; what the device made of it is not known."""
+        for register in _written(self.model, *exchange.span()):
+            slot = self.model.slots[f"register {register.name}"]
+            self.candidates = {
+                c.having(
+                    c.state.having(slot, self._merged(register, c.state.slots[slot], exchange))
+                ): h
+                for c, h in self.candidates.items()
+            }
+
     def _merged(self, register: Register, before: Value | None, exchange: Exchange) -> Value:
         covered = range(
             max(register.address, exchange.address),
@@ -748,7 +758,7 @@ class Oracle:
                 for left, rules in self._taken(candidate, message, exchange.time):
                     after[replace(left, last=data)] = history + rules
         if after:
-            self.candidates = widest(after)
+            self.candidates = after
             return None
         observed = "no message" if message is None else message_words(self.model, message)
         due = [(c.state, c.outbox[0]) for c in before if c.outbox]

@@ -9,14 +9,18 @@ from typing import TYPE_CHECKING
 import dpkt
 import pytest
 
+from ecatspec.conformance import monitor
 from ecatspec.conformance.capture.transactions import CaptureError
 from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.oracle import Oracle
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from ecatspec.conformance.verdict import Result
+    from ecatspec.model.compiled import Model
 
 AKD_CAPTURE = "soem-sdinfo-akd.pcapng"
 OTHERS = (
@@ -146,3 +150,39 @@ def test_lost_frames_blame_nobody(captures: Path, tmp_path: Path, name: str, see
     except CaptureError:
         return
     assert blamed(results) == []
+
+
+def repeated(path: Path, times: int, copy: Path) -> Path:
+    """A capture in which the same happens several times, one after the other."""
+    with path.open("rb") as file:
+        packets = list(dpkt.pcapng.Reader(file))
+    span = packets[-1][0] - packets[0][0] + 1
+    with copy.open("wb") as file:
+        writer = dpkt.pcap.Writer(file)
+        for number in range(times):
+            for time, frame in packets:
+                writer.writepkt(frame, ts=time + number * span)
+    return copy
+
+
+@pytest.mark.parametrize("device", ["standard", "kollmorgen-akd"])
+def test_a_main_device_that_starts_again_is_followed(
+    captures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str
+) -> None:
+    """It begins with broadcasts, and sets mailboxes of another length than the text has them."""
+    oracles: list[Oracle] = []
+
+    class Kept(Oracle):
+        def __init__(self, model: Model) -> None:
+            super().__init__(model)
+            oracles.append(self)
+
+    monkeypatch.setattr(monitor, "Oracle", Kept)
+    capture = repeated(captures / AKD_CAPTURE, 2, tmp_path / "twice.pcap")
+    (result,) = monitor_file(capture, device)
+    (oracle,) = oracles
+    assert not oracle.lost
+    assert len(oracle.candidates) < 16
+    areas = [oracle.area(name) for name in SYNC_MANAGERS]
+    assert areas == [(0x1800, 1024), (0x1C00, 1024)]
+    assert len(blamed((result,))) == (2 if device == "kollmorgen-akd" else 0)

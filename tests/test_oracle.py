@@ -21,6 +21,7 @@ from ecatspec.generators.case import (
     SendFrame,
     SendSegments,
     SetUpProcessData,
+    Wait,
     WriteOutputs,
     WriteRegister,
 )
@@ -33,10 +34,11 @@ from ecatspec.generators.transfers import (
     upload_segment,
 )
 from ecatspec.model import subdevice
+from ecatspec.model.candidates import Exchange
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.oracle import Oracle
-from ecatspec.model.state import Event, Step
+from ecatspec.model.state import Event, Output, RuleName, Step
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, concrete
 from ecatspec.spec.language.ir import Bytes, Pin
@@ -47,7 +49,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from ecatspec.generators.case import Stimulus
-    from ecatspec.model.candidates import Exchange, Mismatch
+    from ecatspec.model.candidates import Mismatch
     from ecatspec.model.codec import Message
     from ecatspec.model.evaluate import Getter
     from ecatspec.model.state import Output, State
@@ -1078,3 +1080,77 @@ def test_an_input_that_may_never_have_come_holds_nothing_up() -> None:
     adapter = make("kollmorgen-akd", {})
     runner = Runner(Model(load_device("kollmorgen-akd")), adapter, adapter.describe())
     assert runner.judge(case_of(MANY_WAYS)).outcome is Outcome.PASS
+
+
+class Thorough(Oracle):
+    """An oracle that works out every look."""
+
+    def observe(self, exchange: Exchange) -> Mismatch | None:
+        self._idle = set()
+        return super().observe(exchange)
+
+
+class Counted(Oracle):
+    """An oracle that counts the reads that it works out."""
+
+    def __init__(self, model: Model) -> None:
+        super().__init__(model)
+        self.reads = 0
+
+    def _read(self, exchange: Exchange) -> Mismatch | None:
+        self.reads += 1
+        return super()._read(exchange)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.5, 3.0])
+def test_a_look_that_told_nothing_tells_nothing_again(delay: float) -> None:
+    found = []
+    for kind in (Oracle, Thorough):
+        device = Faulty(standard(), delay=delay)
+        model = judge_of(STANDARD)
+        session = Session(device, model, kind(model))
+        session.begin(SHAPE)
+        mismatch = None
+        try:
+            for stimulus in (*PREOP, Wait(100_000), ASK, Wait(100_000), ASK):
+                session.apply(stimulus)
+        except Deviation as deviation:
+            mismatch = deviation.mismatch
+        found.append((mismatch, session.oracle.candidates, session.time))
+    assert found[0] == found[1]
+
+
+def test_a_look_is_worked_out_once_while_nothing_happens() -> None:
+    model = judge_of(STANDARD)
+    oracle = Counted(model)
+    oracle.power_on(SHAPE)
+    register = model.protocol.registers["al_status"]
+
+    def look(time: int, state: int) -> Mismatch | None:
+        data = state.to_bytes(register.size, "little")
+        return oracle.observe(Exchange(time, False, register.address, data, 1))  # noqa: FBT003
+
+    assert [look(time, 1) for time in range(5)] == [None] * 5
+    assert oracle.reads == 1
+    assert look(9, 2) is not None
+
+
+def test_a_reply_that_is_due_is_missed_however_often_its_mailbox_was_empty() -> None:
+    model = judge_of(STANDARD)
+    session = Session(Faulty(standard()), model, Oracle(model))
+    session.begin(SHAPE)
+    for stimulus in PREOP:
+        session.apply(stimulus)
+    oracle, now = session.oracle, session.time
+    due = Output("mailbox_error", (), RuleName("mailbox", "mail_refused"))
+    (candidate,) = oracle.candidates
+    oracle.candidates = {replace(candidate, outbox=(due,), ready=now + 100): ()}
+    status = model.protocol.registers[f"{SYNC_MANAGERS[1]}_status"]
+    empty = bytes(status.size)
+    found = [
+        oracle.observe(Exchange(now + later, False, status.address, empty, 1))  # noqa: FBT003
+        for later in (1, 2, 101)
+    ]
+    assert found[:2] == [None, None]
+    assert found[2] is not None
+    assert found[2].observed.startswith("mailbox empty")

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from ecatspec.model.candidates import Mismatch
     from ecatspec.model.codec import Message
     from ecatspec.model.evaluate import Getter
-    from ecatspec.model.state import Output, State
+    from ecatspec.model.state import State
     from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Choice, Condition, Protocol
     from ecatspec.spec.language.scope import Ref, Scope

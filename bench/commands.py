@@ -204,7 +204,7 @@ PARTS: Final = (
                 "ms",
                 "`python -c pass`",
                 Target(Of.FIGURE, 300.0),
-                "The text is parsed and checked anew, since it is what is asked about.",
+                "A text that changed is parsed and checked anew; another one is remembered.",
             ),
         ),
         starts,

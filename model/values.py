@@ -92,8 +92,9 @@ class Pattern:
             return Pattern(lengths=(least, most))
         if self.lengths is not None:
             most = min(most, max(0, self.lengths[1] - offset))
-        content = None if self.content is None else self.content[offset:]
-        mask = None if self.mask is None else self.mask[offset:]
+        end = offset + most  # what lies behind may be long, and is copied with each piece
+        content = None if self.content is None else self.content[offset:end]
+        mask = None if self.mask is None else self.mask[offset:end]
         return Pattern(lengths=(min(least, most), most), content=content, mask=mask)
 
 

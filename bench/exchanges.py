@@ -89,14 +89,10 @@ class RecordingOracle(Oracle):
         self.calls.append(("observe", (exchange,)))
         return super().observe(exchange)
 
-    def settled(self, time: int, *, unread: bool = False) -> bool:
+    def to_come(self, time: int, *, unread: bool = False) -> tuple[int, ...]:
         assert not unread, "the cases of the benchmark read every answer"
-        self.calls.append(("settled", (time,)))
-        return super().settled(time)
-
-    def deadline(self, time: int) -> int | None:
-        self.calls.append(("deadline", (time,)))
-        return super().deadline(time)
+        self.calls.append(("to_come", (time,)))
+        return super().to_come(time)
 
 
 def bound(target: object, calls: Sequence[Call]) -> Bound:

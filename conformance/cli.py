@@ -1,7 +1,7 @@
 """The only place for the command line: commands, exit statuses, and how an error is said.
 
-Status 0: conforms. 1: does not. 2: the input or the set-up is wrong, nothing was judged.
-130: stopped by Ctrl-C. What is judged goes to stdout, all else to stderr.
+Status 0: conforms. 1: does not, or was not shown to. 2: the input or the set-up is wrong, nothing
+was judged. 130: stopped by Ctrl-C. What is judged goes to stdout, all else to stderr.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import sys
 import traceback
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from io import TextIOWrapper
 from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
@@ -24,7 +25,9 @@ from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
+    from ecatspec.conformance.record import Record
     from ecatspec.conformance.results import Basis, Journal
     from ecatspec.conformance.sheets import Sheet
     from ecatspec.conformance.trace import Trace
@@ -65,7 +68,7 @@ EXAMPLES: Final = {
 
 _HELP: Final = """Test EtherCAT SubDevices (slaves) against an executable specification.
 
-Exit status: 0 conforms, 1 does not conform, 2 the input or the set-up is wrong.
+Exit status: 0 conforms, 1 does not conform or not shown, 2 the input or the set-up is wrong.
 
 \b
 Examples:
@@ -395,24 +398,43 @@ def show(*, device: str, machine: str | None, as_json: bool, form: str | None) -
 
 @cli.command(epilog=_example("trace"))
 @click.argument("device", required=False)
-@click.option("--missing", is_flag=True, help="Only what is specified and not exercised.")
+@click.option("--missing", is_flag=True, help="Only what no violation is found of.")
+@click.option("--measure", is_flag=True, help="Look for violations that cases find, and keep them.")
+@click.option(
+    "--evidence", metavar="FOLDER", help="Where they are kept, instead of the shipped ones."
+)
 @click.option("--json", "form", flag_value="json", help="Give the trace as JSON.")
 @click.option("--csv", "form", flag_value="csv", help="Give the clauses as CSV.")
 @click.option("--reqif", "form", flag_value="reqif", help="Give the clauses as ReqIF.")
-def trace(*, device: str | None, missing: bool, form: str | None) -> int:
+def trace(
+    *, device: str | None, missing: bool, measure: bool, evidence: str | None, form: str | None
+) -> int:
     """Follow the clauses of DEVICE to their cases and the last run.
 
     Without DEVICE the totals of all devices that have a manual. A device of which no run is on
-    record is run once as the virtual SubDevice of its text.
+    record is run once as the virtual SubDevice of its text. A clause is carried if a violation of
+    it is known that a case finds; --measure looks for one for each, tries those that are known
+    first, and can be interrupted and called again.
+
+    The exit status is 1 where such a case disproves what a text gives as the reason that nothing
+    exercises a clause.
     """
+    from pathlib import Path
+
     from ecatspec.conformance.devices import load
+    from ecatspec.conformance.evidence import shipped
     from ecatspec.conformance.trace import as_csv, clause_sheet, device_data, total_sheet
     from ecatspec.spec.language.load import device_names
 
     if form == "reqif":
         reqif = _reqif()
     loaded = [(name, load(name)) for name in ([device] if device else device_names())]
-    traces = [_trace(name, p) for name, p in loaded if device or p.manuals]
+    folder = shipped() if evidence is None else Path(evidence)
+    wanted = [(name, p) for name, p in loaded if device or p.manuals]
+    if measure:
+        for name, protocol in wanted:
+            _measure(name, protocol, folder)
+    traces = [_trace(name, p, folder) for name, p in wanted]
     shown = {id(t): t.missing if missing else t.rows for t in traces}
     if form == "json":
         data = [device_data(t, shown[id(t)]) for t in traces]
@@ -424,14 +446,43 @@ def trace(*, device: str | None, missing: bool, form: str | None) -> int:
     else:
         sheets = [clause_sheet(t, shown[id(t)]) for t in traces if device or missing]
         _print("".join(map(_table, (*(s for s in sheets if s.rows), total_sheet(traces)))))
-    return CONFORMS
+    disproved = [line for t in traces for line in t.disproved]
+    for line in disproved:
+        _warn(f"ecatspec: {line}")
+    return DOES_NOT_CONFORM if disproved else CONFORMS
 
 
-def _trace(device: str, protocol: Protocol) -> Trace:
-    """Trace a device by the last run that is on record, or by one that is made now."""
-    from ecatspec.conformance import record
+def _measure(device: str, protocol: Protocol, folder: Path) -> None:
+    """Look for evidence for each clause of a device, and keep it in a file of the folder."""
+    from ecatspec.conformance.evidence import read, write
+    from ecatspec.conformance.measure import measure
     from ecatspec.conformance.trace import trace_device
     from ecatspec.model.compiled import Model
+
+    known = _known(device, protocol)
+    model = Model(protocol)
+    traced = trace_device(model, known)
+    with _set_up("trace"), _progress() as progress:
+        folder.mkdir(parents=True, exist_ok=True)
+        found = read(folder, protocol.name)
+        keep = partial(write, folder, protocol.name)
+        keep(measure(traced, model, known, found, keep, progress))
+
+
+def _trace(device: str, protocol: Protocol, folder: Path) -> Trace:
+    """Trace a device by the last run that is on record, or by one that is made now."""
+    from ecatspec.conformance.evidence import read
+    from ecatspec.conformance.trace import trace_device
+    from ecatspec.model.compiled import Model
+
+    known = _known(device, protocol)
+    with _set_up("trace"):
+        return trace_device(Model(protocol), known, read(folder, protocol.name))
+
+
+def _known(device: str, protocol: Protocol) -> Record:
+    """Give the last run of a device that is on record, or one that is made now."""
+    from ecatspec.conformance import record
 
     known = record.load(protocol)
     if known is None:
@@ -440,7 +491,7 @@ def _trace(device: str, protocol: Protocol) -> Trace:
         options = {"depth": "quick", "keep": _keeper(None)}
         result = _run(device, "model", options)
         known = record.record_of(result.subject, result.verdicts)
-    return trace_device(Model(protocol), known)
+    return known
 
 
 def _run(device: str, dut: str, options: Mapping[str, Any]) -> Result:

@@ -13,7 +13,7 @@ from ecatspec.conformance.reports.text import MARKS
 _STYLES: Final = (
     (r"(?m)^\d+\. (CRASH|FAIL|ERROR): .*$", "bold red"),
     (r"(?m)^\d+\. WARNING: .*$", "bold yellow"),
-    (r"(?m)^  (DOES NOT CONFORM|NOT JUDGED).*$", "bold red"),
+    (r"(?m)^  (DOES NOT CONFORM|NOT SHOWN|NOT JUDGED).*$", "bold red"),
     (r"(?m)^  conforms.*$", "bold green"),
     (r"(?m)^(findings|not judged|notes)$", "bold"),
     (r"(?m)^  [a-z]{2,9}(?= {2,})", "cyan"),

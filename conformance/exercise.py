@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.session import WATCHED
 from ecatspec.generators.case import (
     ReadConfiguration,
+    ReadInitial,
     ReadRegister,
     SendFrame,
     SetUpProcessData,
     WriteOutputs,
     WriteRegister,
     WriteRegisters,
+    WriteUntilTaken,
 )
 from ecatspec.model.citations import Foundations, object_name
 
@@ -53,6 +55,8 @@ class Touch:
                     yield f"register {write.register}"
             case SendFrame():
                 yield from map(object_name, self._of_request(stimulus))
+            case ReadInitial() | WriteUntilTaken():
+                yield object_name((stimulus.index, stimulus.subindex))
             case ReadConfiguration() | SetUpProcessData() | WriteOutputs():
                 yield from map(object_name, self._mapped)
             case _:

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.capture.transactions import Capture
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.verdict import (
+    ADVISED,
     MAIN_DEVICE,
     REASON,
     SUB_DEVICE,
+    UNEXPLAINED,
     Outcome,
     Result,
     TraceLine,
@@ -59,6 +61,8 @@ class Follower:
     messages: Counter[str] = field(default_factory=Counter)
     exchanges: int = 0
     lost: int = 0
+    _advised: set[str] = field(default_factory=set)
+    """The signatures of the advice that was given already."""
     _shown: str = ""
     _told: tuple[str, ...] = ()
     """The reasons after the last look."""
@@ -86,6 +90,9 @@ class Follower:
         self.exchanges += 1
         self._remember(exchange)
         mismatch = self.oracle.observe(exchange)
+        for signature in self.oracle.advice.keys() - self._advised:
+            self._advised.add(signature)
+            self.verdicts.append(self._verdict(self.oracle.advice[signature], ADVISED))
         if mismatch is None and self.oracle.candidates is self._known:
             return
         self.rules |= self.oracle.certain_rules()
@@ -141,7 +148,7 @@ class Follower:
             self._starts_of = self.oracle.candidates
         return self._starts[name]
 
-    def _verdict(self, mismatch: Mismatch) -> Verdict:
+    def _verdict(self, mismatch: Mismatch, reason: str = UNEXPLAINED) -> Verdict:
         clauses = self.model.protocol.clauses
         cited = [clauses[name] for name in mismatch.clauses]
         blames = any(clause.level is Level.MUST for clause in cited)
@@ -149,7 +156,7 @@ class Follower:
             f"monitor/{mismatch.exchange.reference.replace(' ', '_')}",
             Outcome.FAIL if blames else Outcome.WARNING,
             f"{mismatch.subject} at {mismatch.exchange.reference}",
-            "no state that the texts allow explains the observation",
+            reason,
             mismatch.expected,
             mismatch.observed,
             mismatch.clauses,

@@ -19,7 +19,7 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import UserError, load
 from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
-from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.runner import Runner, shape_of
 from ecatspec.conformance.verdict import BLAMING
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
@@ -47,11 +47,12 @@ if TYPE_CHECKING:
     from ecatspec.generators.finite_cover import Complete
     from ecatspec.generators.mutants import Mutant
     from ecatspec.model.state import Event, State, Step
+    from ecatspec.model.subdevice import Quirk
     from ecatspec.spec.language.ir import Protocol, Rule
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
-_PATIENCE: Final = 20.0
+PATIENCE: Final = 20.0
 """Seconds for one case; a mutant that takes longer hangs."""
 _EXPLORING: Final = 300.0
 """Seconds for its finite machines."""
@@ -67,16 +68,16 @@ _Exchange: TypeAlias = tuple[str, tuple[object, ...], object]
 """What was asked, with its arguments, and the answer."""
 
 
-class _OverdueError(BaseException):
+class OverdueError(BaseException):
     """A mutant did not come to an end; nothing but what stops it may catch this."""
 
 
 class _Watched(VirtualSubDevice):
     """A virtual SubDevice that keeps its steps."""
 
-    def __init__(self, protocol: Protocol) -> None:
+    def __init__(self, protocol: Protocol, quirks: frozenset[Quirk] = frozenset()) -> None:
         self.steps: dict[int, _Taken] = {}
-        super().__init__(protocol)
+        super().__init__(protocol, quirks=quirks)
 
     def react(self, event: Event) -> Step:
         taken = super().react(event)
@@ -93,53 +94,61 @@ class _Taken:
     step: Step
 
 
-class _Heard:
+class Heard:
     """An adapter that keeps what was exchanged since power-on."""
 
-    def __init__(self, protocol: Protocol) -> None:
-        self.device = _Watched(protocol)
+    def __init__(self, protocol: Protocol, quirks: frozenset[Quirk] = frozenset()) -> None:
+        """Make the device; `quirks` are mistakes of the layer below the texts."""
+        self.device = _Watched(protocol, quirks)
         self.adapter = Guarded(VirtualAdapter(self.device, described(protocol)))
         self.log: list[_Exchange] = []
 
     def reset(self) -> None:
+        """Power cycle, and forget what was exchanged."""
         self.log = []
         self.device.steps = {}
         self.adapter.reset()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
+        """Read as the MainDevice."""
         return self._exchange(self.adapter.read, address, length)
 
     def write(self, address: int, data: bytes) -> int:
+        """Write as the MainDevice."""
         return self._exchange(self.adapter.write, address, data)
 
     def advance(self, seconds: float) -> None:
+        """Let time pass."""
         self._exchange(self.adapter.advance, seconds)
 
     def local(self, event: str) -> None:
+        """Make a local event befall the device."""
         self._exchange(self.adapter.local, event)
 
     def close(self) -> None:
+        """Release the device."""
         self.adapter.close()
 
     def describe(self) -> Description:
+        """Give what the device is."""
         return self.adapter.describe()
 
     def differs(self, log: Iterable[_Exchange]) -> bool:
         """Tell whether it answers otherwise than another did who was asked the same."""
         try:
-            with _overdue(_PATIENCE):
+            with overdue(PATIENCE):
                 self.reset()
                 return any(
                     getattr(self.adapter, asked)(*arguments) != answer
                     for asked, arguments, answer in log
                 )
-        except (DeviceFault, _OverdueError):
+        except (DeviceFault, OverdueError):
             return True
 
     def _exchange(self, ask: Callable[_P, _T], *arguments: _P.args, **words: _P.kwargs) -> _T:
         try:
             answer = ask(*arguments, **words)
-        except _OverdueError:
+        except OverdueError:
             raise DeviceHang("no answer in time") from None
         self.log.append((ask.__name__, arguments, answer))
         return answer
@@ -167,7 +176,7 @@ class _Ground:
         protocol = load(device, mailbox)
         self.model = Model(protocol)
         self.built = as_built(protocol)
-        self.heard = _Heard(self.built)
+        self.heard = Heard(self.built)
         explorer = _Watched(self.built)
         self.machines = _machines(explorer.model, explorer)
         self.explored = explorer.steps
@@ -188,7 +197,7 @@ class _Ground:
         for number, case in enumerate(cases):
             if progress is not None:
                 progress(number, len(cases), f"{device}: {case.name}")
-            runner.choices = dict(SHAPE)
+            runner.choices = shape_of(runner.model.protocol)
             if runner.judge(case).outcome in BLAMING:
                 raise UserError(f"{device} is blamed without a mistake in {case.name}: repair it")
             steps = self.heard.device.steps
@@ -212,9 +221,9 @@ class _Ground:
     def fate(self, mutant: Mutant) -> Fated:
         """Find out what becomes of a mutant."""
         try:
-            with _overdue(_PATIENCE):
-                heard = _Heard(mutant.protocol)
-        except (Exception, _OverdueError):  # noqa: BLE001  it does not even come up
+            with overdue(PATIENCE):
+                heard = Heard(mutant.protocol)
+        except (Exception, OverdueError):  # noqa: BLE001  it does not even come up
             return Fated(mutant, Fate.KILLED, "power-on")
         if self.equivalents is not None and self.equivalents.proved(mutant):
             return Fated(mutant, Fate.EQUIVALENT)
@@ -225,13 +234,14 @@ class _Ground:
         differing: list[_Shown] = []
         for shown in touched:
             if heard.differs(shown.log):
-                runner.choices = dict(SHAPE)
+                runner.choices = shape_of(runner.model.protocol)
                 if (found := self._judged(mutant, runner, shown)) is not None:
                     return found
                 differing.append(shown)
         # the ways that it went in other cases it must go in these too
         others = (shown.choices for shown in self.shown if shown not in differing)
-        ways = SHAPE | dict(way for choices in others for way in choices.items())
+        shape = shape_of(self.model.protocol)
+        ways = shape | dict(way for choices in others for way in choices.items())
         for shown in differing:
             runner.choices = dict(ways)
             if (found := self._judged(mutant, runner, shown)) is not None:
@@ -246,9 +256,9 @@ class _Ground:
 
     def _judged(self, mutant: Mutant, runner: Runner, shown: _Shown) -> Fated | None:
         try:
-            with _overdue(_PATIENCE):
+            with overdue(PATIENCE):
                 verdict = runner.judge(shown.case)
-        except _OverdueError:
+        except OverdueError:
             return Fated(mutant, Fate.KILLED, shown.case.name)
         if verdict.outcome not in BLAMING:
             return None
@@ -276,9 +286,9 @@ class _Ground:
             if mutant.follows and own in fired:
                 return True
         try:
-            with _overdue(_PATIENCE):
+            with overdue(PATIENCE):
                 return step(device.model, taken.state, taken.event)[0] != taken.step
-        except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
+        except (Exception, OverdueError):  # noqa: BLE001  a mutant may fail in any way
             return True
 
     def _follows(self, mutant: Mutant, fired: Collection[RuleName]) -> bool:
@@ -305,11 +315,11 @@ class _Ground:
         if not others:
             return True
         try:
-            with _overdue(_EXPLORING):
+            with overdue(_EXPLORING):
                 if any(_retimed(device, taken) for taken in others):
                     return False
                 found = _machines(device.model, device)
-        except (Exception, _OverdueError):  # noqa: BLE001  a mutant may fail in any way
+        except (Exception, OverdueError):  # noqa: BLE001  a mutant may fail in any way
             return False
         return all(
             equivalent(one.machine, other.machine)
@@ -419,11 +429,11 @@ def _retimed(device: VirtualSubDevice, taken: _Taken) -> bool:
 
 
 @contextmanager
-def _overdue(patience: float) -> Iterator[None]:
+def overdue(patience: float) -> Iterator[None]:
     """Stop what a mutant does after a while; where there are no such signals it may hang."""
 
     def stop(_: int, __: FrameType | None) -> None:
-        raise _OverdueError
+        raise OverdueError
 
     old = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, patience, patience)

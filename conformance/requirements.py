@@ -41,6 +41,7 @@ _ATTRIBUTES: Final = {
     "specified": "ecatspec.Specified",
     "standing": "ecatspec.Standing",
     "because": "ecatspec.Because",
+    "violation": "ecatspec.Violation",
     "cases": "ecatspec.Cases",
     "verdict": "ecatspec.LastRun",
 }
@@ -123,6 +124,7 @@ def _object(row: Traced, trace: Trace, when: str) -> ReqIFSpecObject:
         "specified": "; ".join(f"{p.kind} {p.name} ({p.at})" for p in row.places),
         "standing": row.standing.value,
         "because": clause.because or "",
+        "violation": "" if row.evidence is None else row.evidence.violation,
         "cases": ", ".join(shown_cases(row)),
         "verdict": row.verdict,
     }

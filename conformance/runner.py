@@ -16,29 +16,33 @@ from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
 from ecatspec.conformance.results import Basis
-from ecatspec.conformance.session import Deviation, Session
+from ecatspec.conformance.session import Deviation, InconclusiveError, Session
 from ecatspec.conformance.shrink import shortest
 from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.verdict import (
+    ADVISED,
     BLAMING,
+    FOUND,
     MAIN_DEVICE,
     REASON,
     SUB_DEVICE,
+    UNEXPLAINED,
     Outcome,
     Result,
     SetUp,
     TraceLine,
     Verdict,
 )
+from ecatspec.generators.assignment import at_power_on, first_assigned, read_configuration
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
     Limits,
     Probe,
-    ReadConfiguration,
     SendFrame,
     Stimulus,
+    WriteUntilTaken,
 )
 from ecatspec.generators.finite_cover import complete_suites
 from ecatspec.generators.strategies import requests
@@ -59,15 +63,19 @@ if TYPE_CHECKING:
     from ecatspec.generators.finite_cover import Complete
     from ecatspec.model.candidates import Mismatch
     from ecatspec.model.values import ObjectKey
+    from ecatspec.spec.language.ir import Protocol
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 
 SHAPE = {"mailbox_support": "present", "emulation": "none"}
-"""What a run takes for granted: a device with a mailbox and a controller of its own."""
+"""What a run takes for granted where no text pins it: a mailbox, and a controller of its own."""
 EXAMPLES = {"quick": 30, "default": 150, "exhaustive": 1000}
 """Runs of random requests, by depth."""
-_UNEXPLAINED = "no state that the texts allow explains the observation"
 _NOT_SURE = "or an earlier case left something: the device is not power cycled before each"
+_STILL = (
+    "AL Status never changed, so the device may not run at all: look at that first, "
+    "docs/adapters.md has a list"
+)
 WALKS = {"quick": 0, "default": 10, "exhaustive": 200}
 """Random walks, by depth."""
 WALK = 60
@@ -91,7 +99,7 @@ class Runner:
         self.session = Session(adapter, model, Oracle(model))
         self.verdicts: list[Verdict] = []
         self.rules: set[RuleName] = set()
-        self.choices: dict[str, str] = dict(SHAPE)
+        self.choices: dict[str, str] = shape_of(model.protocol)
         self.refusals: dict[str, str] = {}
         """Why the device refused a transition, with the first case that showed it."""
         self.session.oracle.raised = description.locals
@@ -102,15 +110,19 @@ class Runner:
         self.believed: dict[str, str] = {}
         """The ways at these that a complete suite takes the device to go."""
         self.signatures: set[str] = set()
-        """The causes that were blamed already."""
+        """The causes that were found already."""
         self.met: set[str] = set()
         """Choices on which some explanation rested in the step that was taken last."""
         self.journal: Journal | None = None
         """Where each judged step is kept; a resumed run finds there what it need not judge."""
         self.crew: Crew | None = None
         """Who judges the steps; None: this process, with its own device."""
+        self.needed: set[str] = set()
+        """The AL states that cases needed so far."""
         self.only: frozenset[str] = frozenset()
         """The layers that are tried; none: all."""
+        self.moved = False
+        """AL Status has changed in some step."""
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -124,7 +136,7 @@ class Runner:
 
     def _through(self, steps: Iterable[Step], progress: Progress | None, total: int) -> None:
         """Go through steps in order; what the journal has of them is not judged again."""
-        left = self._left(_told(steps, progress, total))
+        left = self._left(self._noted(_told(steps, progress, total)))
         if self.crew is None:
             found: Iterator[Judged] = map(self.take, left)
         else:
@@ -133,6 +145,20 @@ class Runner:
             self._apply(judged)
             if self.journal is not None:
                 self.journal.keep(judged)
+
+    def _noted(self, steps: Iterable[Step]) -> Iterator[Step]:
+        """Note the AL states that cases need."""
+        for step in steps:
+            if isinstance(step, Trial) and step.case.needs is not None:
+                self.needed.add(step.case.needs)
+            yield step
+
+    def unreached(self) -> tuple[str, ...]:
+        """Give the AL states that cases needed and no rule led to, in the order of their values."""
+        rules = self.model.protocol.machines["al"].rules
+        reached = {rule.target for rule in rules if RuleName("al", rule.name) in self.rules}
+        names = self.model.state_names("al").values()
+        return tuple(name for name in names if name in self.needed - reached)
 
     def _left(self, steps: Iterable[Step]) -> Iterator[Step]:
         for step in steps:
@@ -146,7 +172,7 @@ class Runner:
         """Take what a step told as known; that a step taken here is known already is no harm."""
         told = judged.learned
         self.verdicts.append(judged.verdict)
-        if judged.verdict.outcome in BLAMING:
+        if judged.verdict.outcome in FOUND:
             self.signatures.add(judged.verdict.signature)
         self.choices |= told.choices
         self.untold |= set(told.untold)
@@ -155,6 +181,7 @@ class Runner:
         self.rules |= set(map(_rule_of, told.rules))
         if told.disbelieved:
             self.believed = {}
+        self.moved |= told.moved
 
     def wanted(self, layer: str) -> bool:
         """Tell whether a layer is to be tried."""
@@ -188,8 +215,9 @@ class Runner:
             {name: way for name, way in self.choices.items() if name not in before.choices},
             tuple(sorted(self.untold - untold)),
             tuple(reason for reason in self.refusals if reason not in refusals),
-            tuple(sorted(map(str, self.rules))),
+            tuple(sorted({*map(str, self.rules), *verdict.rules})),
             believed and not self.believed,
+            self.session.moved,
         )
         self.rules |= rules
         return Judged(step.name, verdict, learned, frozenset(self.met))
@@ -290,6 +318,7 @@ class Runner:
 
     def _judge(self, case: Case) -> Verdict:
         self.session.forget_trace()
+        position = -1
         try:
             self.session.begin(self.choices | self.believed, self.configuration())
             for position, stimulus in enumerate(case.stimuli):
@@ -301,8 +330,9 @@ class Runner:
                 if broken := self.session.oracle.broken():
                     reason = f"the texts break their own property {', '.join(broken)}"
                     return Verdict(case.name, Outcome.ERROR, case.title, reason)
-        except (Deviation, DeviceFault, AdapterError) as error:
-            return self.explained(case, error)
+        except (Deviation, InconclusiveError, DeviceFault, AdapterError) as error:
+            on_the_way = position < case.prelude
+            return self.explained(replace(case, about="") if on_the_way else case, error)
         finally:
             self.met |= self.session.oracle.met()
             if any(self._configures(stimulus) for stimulus in case.stimuli):
@@ -317,6 +347,9 @@ class Runner:
         if surprises := oracle.surprises():
             reason = f"{' or '.join(surprises)} befell the device while it was tested"
             return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
+        for signature, advice in self.session.advice.items():
+            if signature not in self.signatures:
+                return self._against(case, advice.mismatch, advice.trace, advice.time, ADVISED)
         return Verdict(case.name, Outcome.PASS, case.title)
 
     def _certain_rules(self) -> frozenset[RuleName]:
@@ -337,20 +370,21 @@ class Runner:
         if self.configured is None:
             self.configured = {}
             self.session.begin(self.choices)
-            with contextlib.suppress(Deviation):
-                for stimulus in (*way_to(self.model, "PREOP"), ReadConfiguration()):
+            with contextlib.suppress(Deviation, InconclusiveError):
+                for stimulus in (*way_to(self.model, "PREOP"), *read_configuration(self.model)):
                     self.session.apply(stimulus)
-                self.configured = {
-                    key: value
-                    for key, value in self.session.oracle.example().objects
-                    if self.model.sets_up(key[0])
-                }
+                known = self.session.oracle.example().objects
+                self.configured = at_power_on(self.model, known)
             self.session.forget_trace()
         return self.configured
 
     def _configures(self, stimulus: Stimulus) -> bool:
         """Tell whether a request may change what is assigned or mapped."""
+        if isinstance(stimulus, WriteUntilTaken):
+            return self.model.sets_up(stimulus.index)
         if not isinstance(stimulus, SendFrame) or not begins_download(stimulus):
+            return False
+        if self.description.power_cycles and stimulus in first_assigned(self.model):
             return False
         index = stimulus.fields["index"]
         return isinstance(index, int) and self.model.sets_up(index)
@@ -361,7 +395,8 @@ class Runner:
 
     def explore(self, examples: int, first_seed: int, progress: Progress | None) -> None:
         """Vary requests at random; every new cause is shrunk to its shortest run by replay."""
-        if "sdo" not in self.description.protocols or not self.wanted("sdo"):
+        carried = "sdo" in self.description.protocols and self.model.has_mailbox
+        if not carried or not self.wanted("sdo"):
             return
         for number in range(_ROUNDS):
             self._through((Search(first_seed + number, examples),), progress, _ROUNDS)
@@ -407,43 +442,63 @@ class Runner:
 
     # --- verdicts ---------------------------------------------------------------------------------
 
-    def explained(self, case: Case, error: Deviation | DeviceFault | AdapterError) -> Verdict:
+    def explained(
+        self, case: Case, error: Deviation | InconclusiveError | DeviceFault | AdapterError
+    ) -> Verdict:
         """Give the verdict of a case that ends here, with what the session came to."""
         match error:
             case Deviation():
-                return self._failure(case, error.mismatch)
+                session = self.session
+                return self._against(case, error.mismatch, tuple(session.trace), session.time)
             case DeviceFault():
                 return self._death(case, error)
-            case Unheard():
+            case Unheard() | InconclusiveError():
                 return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, str(error))
             case AdapterError():
                 return Verdict(case.name, Outcome.ERROR, case.title, str(error))
             case _:
                 assert_never(error)
 
-    def _failure(self, case: Case, mismatch: Mismatch) -> Verdict:
+    def _against(
+        self,
+        case: Case,
+        mismatch: Mismatch,
+        trace: tuple[TraceLine, ...],
+        time: int,
+        reason: str = UNEXPLAINED,
+    ) -> Verdict:
+        """Give the verdict of a mismatch at a time in microseconds: a failure, or a warning."""
         clauses = self.model.protocol.clauses
-        cited = [clauses[name] for name in mismatch.clauses]
+        broken = [clauses[name] for name in mismatch.clauses]
         sure = self.description.power_cycles
-        blames = sure and any(clause.level is Level.MUST for clause in cited)
+        blames = sure and any(clause.level is Level.MUST for clause in broken)
+        names = tuple(dict.fromkeys((*mismatch.clauses, *self._looked_for(case))))
+        cited = [clauses[name] for name in names]
         return Verdict(
             case.name,
             Outcome.FAIL if blames else Outcome.WARNING,
             case.title,
-            _UNEXPLAINED if sure else f"{_UNEXPLAINED}, {_NOT_SURE}",
+            reason if sure else f"{reason}, {_NOT_SURE}",
             mismatch.expected,
             mismatch.observed,
-            mismatch.clauses,
+            names,
             tuple(dict.fromkeys(claim for clause in cited for claim in clause.claims)),
             (
-                *self.session.trace,
-                *(TraceLine(self.session.time, REASON, text) for text in mismatch.reasons),
+                *trace,
+                *(TraceLine(time, REASON, text) for text in mismatch.reasons),
             ),
-            f"{self.session.time / 1000:.1f} ms",
+            f"{time / 1000:.1f} ms",
             mismatch.signature,
             differing=mismatch.differing,
             blamed=tuple(map(str, mismatch.rules)),
         )
+
+    def _looked_for(self, case: Case) -> tuple[str, ...]:
+        """Give the clauses of the rule that a case is about, none where the device lacks it."""
+        machine, _, name = case.about.partition(".")
+        found = self.model.protocol.machines.get(machine)
+        rules = () if found is None else found.rules
+        return next((rule.clauses for rule in rules if rule.name == name), ())
 
     def _death(self, case: Case, death: Exception) -> Verdict:
         trace = tuple(self.session.trace)
@@ -473,6 +528,11 @@ class Runner:
         why = "".join(f"; {text}" for text in self.session.oracle.reasons())
         reason = f"needs AL state {case.needs}, the device is in {reached}{why}"
         return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
+
+
+def shape_of(protocol: Protocol) -> dict[str, str]:
+    """Give what a run takes for granted of a device."""
+    return {name: way for name, way in SHAPE.items() if name not in protocol.pins}
 
 
 class _Found(Exception):  # noqa: N818
@@ -584,6 +644,7 @@ def _result(
     model, protocol = runner.model, runner.model.protocol
     rules = sum(len(machine.rules) for machine in protocol.machines.values())
     cited = {c for rule in runner.rules for c in rule_clauses(model, rule)}
+    blamed = any(verdict.outcome in BLAMING for verdict in runner.verdicts)
     all_cited = {
         c for machine in protocol.machines.values() for rule in machine.rules for c in rule.clauses
     }
@@ -599,11 +660,13 @@ def _result(
         runner.choices,
         (
             *runner.description.notes,
+            *([_STILL] if blamed and not runner.moved else []),
             *(f"refused: {why} (first in {name})" for why, name in runner.refusals.items()),
         ),
         interrupted,
         tuple(guarantees),
         set_up,
+        runner.unreached(),
     )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import count
 from time import monotonic
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
@@ -16,6 +15,7 @@ from ecatspec.generators.case import (
     Hurry,
     Probe,
     ReadConfiguration,
+    ReadInitial,
     ReadRegister,
     Repeat,
     SendFrame,
@@ -27,13 +27,22 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
     WriteRegisters,
+    WriteUntilTaken,
 )
 from ecatspec.generators.mailbox_cover import probe_entry
 from ecatspec.generators.process_data import image, settings
-from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
-from ecatspec.generators.transfers import upload, upload_segment
+from ecatspec.generators.stimulus import frame_bytes, registers_bytes
+from ecatspec.generators.transfers import (
+    read,
+    sample,
+    several_values,
+    upload,
+    upload_segment,
+    write,
+)
 from ecatspec.model.candidates import Exchange, Mismatch
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.dictionary import size_varies
+from ecatspec.model.esc import AREAS, PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.model.values import bits_of
@@ -47,6 +56,7 @@ if TYPE_CHECKING:
     from ecatspec.model.compiled import Model
     from ecatspec.model.oracle import Oracle
     from ecatspec.model.values import ObjectKey, Value
+    from ecatspec.spec.language.ir import ObjectEntry
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
@@ -64,8 +74,18 @@ AL = ("al_status", "al_status_code")
 _MAIL = (f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control")
 WATCHED = (*AL, *_MAIL)
 """The registers that are read after every stimulus: what the device shows."""
+ABORT = "sdo_abort"
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
+UNASKED: Final = 1024
+"""So many messages that nobody asked for are read in a case at most."""
+LOOKS: Final = 64
+"""So often it is looked at most for what is still to come of one stimulus."""
+SEGMENTS: Final = 4096
+"""Segments of one upload at most."""
+CYCLES: Final = 1000
+"""Writes of process data after which they come once for each wait, however short the watchdog is:
+for one stimulus, and for one request."""
 
 
 class Deviation(Exception):  # noqa: N818
@@ -75,6 +95,22 @@ class Deviation(Exception):  # noqa: N818
         """Keep the mismatch."""
         super().__init__(mismatch.observed)
         self.mismatch = mismatch
+
+
+class InconclusiveError(Exception):
+    """No verdict can rest on what was seen, so nothing that follows is tried."""
+
+
+TOO_MUCH: Final = "more may have happened in the device than can be followed"
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What should have been otherwise, with the trace until then and the time in microseconds."""
+
+    mismatch: Mismatch
+    trace: tuple[TraceLine, ...]
+    time: int
 
 
 @dataclass(slots=True)
@@ -87,13 +123,25 @@ class Session:
     time: int = 0
     exchanges: int = 0
     attempt: Exchange | None = None
+    moved: bool = False
+    """AL Status has changed, in this case or one before."""
     _told: list[tuple[int, str, str | Callable[[], str], bytes]] = field(default_factory=list)
     """When, by whom, what was done or shown (in words only once somebody asks), and its bytes."""
+    advice: dict[str, Advice] = field(default_factory=dict)
+    """What should have been otherwise, by signature."""
+    _answers: list[Message] = field(default_factory=list)
+    """The messages that the device sent since somebody began to count."""
     _counter: int = 0
+    _unasked: int = 0
+    """Messages that were read in this case, less the requests that were sent."""
     _shown: dict[str, int] = field(default_factory=dict)
     _shown_words: dict[str, str] = field(default_factory=dict)
     _outputs: dict[str, int] | None = None
     """The words that are written cyclically, None where nothing is."""
+    _cycles: int = CYCLES
+    """Writes of process data that are left."""
+    _every: int = 0
+    """Microseconds between two writes while it was waited last."""
     _hurries: bool = False
     _batches: bool = False
     """The device can be asked for several reads at once."""
@@ -134,24 +182,30 @@ class Session:
         self.forget_trace()
         self.attempt = None
         self._counter = 0
+        self._unasked = 0
         self._shown = {}
         self._shown_words = {}
+        self._answers = []
         self._outputs = None
         self._hurries = False
+        self.advice = {}
         self.oracle.power_on(choices, objects)
         self._look()
 
     def apply(self, stimulus: Stimulus) -> None:
-        """Give one stimulus and watch until nothing more may happen; raise Deviation."""
+        """Give one stimulus and watch until nothing more may happen.
+
+        Raises:
+            Deviation: The device did what the texts do not allow.
+            InconclusiveError: What it does has no end, or cannot be followed.
+
+        """
+        self._cycles = CYCLES
         match stimulus:
             case WriteRegister():
-                address, data = register_bytes(self.model, stimulus)
-                self._say(MAIN_DEVICE, partial(_writes, self.model, stimulus))
-                self._write(address, data)
+                self._write_registers(WriteRegisters((stimulus,)))
             case WriteRegisters():
-                address, data = registers_bytes(self.model, stimulus)
-                self._say(MAIN_DEVICE, partial(_writes, self.model, *stimulus.writes))
-                self._write(address, data)
+                self._write_registers(stimulus)
             case ReadRegister(register=name):
                 self._say(MAIN_DEVICE, f"reads {name.replace('_', ' ')}")
                 self._read_registers(name, demanded=True)
@@ -168,6 +222,10 @@ class Session:
                 entry = probe_entry(self.model)
                 if entry is not None:
                     self._send(upload(entry.index, entry.subindex))
+            case ReadInitial(index, subindex):
+                self._read_initial((index, subindex))
+            case WriteUntilTaken(index, subindex):
+                self._write_until_taken((index, subindex))
             case ReadConfiguration():
                 self._read_configuration()
             case SetUpProcessData():
@@ -176,7 +234,7 @@ class Session:
             case WriteOutputs():
                 self._outputs = {**(self._outputs or {}), **stimulus.words}
                 self._say(MAIN_DEVICE, partial(_outputs_words, self.model, stimulus.words))
-                self._write_outputs()
+                self._write_outputs(anywhere=True)
             case StopOutputs():
                 self._outputs = None
                 self._say(MAIN_DEVICE, "writes no process data any more")
@@ -192,18 +250,71 @@ class Session:
                 assert_never(stimulus)
         self._settle()
 
+    def _write_registers(self, stimulus: WriteRegisters) -> None:
+        address, data = registers_bytes(self.model, stimulus)
+        self._say(MAIN_DEVICE, partial(_writes, self.model, *stimulus.writes), data)
+        self._write(address, data)
+
     def _befall(self, stimulus: Happen) -> None:
         machine, _, event = stimulus.event.partition(".")
         self._say(SUB_DEVICE, f"{BEFALLEN} {event.replace('_', ' ')}")
         raise_local(self.adapter, stimulus.event)
         self.oracle.happened(machine, event, self.time)
 
+    # --- entries ----------------------------------------------------------------------------------
+
+    def _uploaded(self, key: ObjectKey) -> bytes | None:
+        """Read an entry to its end; give its value, None where the device refused."""
+        self._answers = []
+        for stimulus in read(*key):
+            self.apply(stimulus)
+        if not self._answers or any(answer.frame == ABORT for answer in self._answers):
+            return None
+        values = (answer.fields.get("value") for answer in self._answers)
+        return b"".join(value for value in values if isinstance(value, bytes))
+
+    def _read_initial(self, key: ObjectKey) -> None:
+        """Note a value that is not the default, on a device that was switched off and on."""
+        entry = self.model.dictionary.entries[key]
+        held = self._uploaded(key)
+        if held is None or not self.adapter.describe().power_cycles:
+            return
+        default = sample(entry)
+        same = (
+            held.rstrip(b"\0") == default.rstrip(b"\0") if size_varies(entry) else held == default
+        )
+        if not same:
+            self.oracle.advise_default(self._exchange(0, b"", 1), entry, default, held)
+            self._take_advice()
+
+    def _write_until_taken(self, key: ObjectKey) -> None:
+        """Raise a deviation where every value is refused for no reason, what is held too."""
+        entry = self.model.dictionary.entries[key]
+        held = self._uploaded(key)
+        if held is None:
+            return
+        values = tuple(dict.fromkeys((held, *several_values(entry))))
+        if all(self._refused(entry, value) for value in values):
+            raise Deviation(
+                self.oracle.takes_nothing(self._exchange(0, b"", 1), entry, len(values))
+            )
+
+    def _refused(self, entry: ObjectEntry, value: bytes) -> bool:
+        """Write a value; tell whether the device refused it and no text nor its code says why."""
+        for stimulus in write(self.model, entry, value):
+            self._answers = []
+            self.apply(stimulus)
+            aborts = [answer for answer in self._answers if answer.frame == ABORT]
+            if aborts:
+                return all(self.oracle.unreasoned(answer) for answer in aborts)
+        return False
+
     # --- process data -----------------------------------------------------------------------------
 
     def _read_configuration(self) -> None:
         for name in (OUTPUTS, INPUTS):
             assignment = self.model.image.assignments[name]
-            for pdo in self._read_object(assignment):
+            for pdo in dict.fromkeys(self._read_object(assignment)):
                 self._read_object(pdo)
         for key in self.model.settings:
             self._ask(*key)
@@ -227,21 +338,24 @@ class Session:
             self._send(upload(index, subindex))
             self._settle()
 
-    def _write_outputs(self) -> None:
-        if self._outputs is not None and self.oracle.al_states() & {"SAFEOP", "OP"}:
-            data = image(self.model, self.oracle.example(), self._outputs)
-            if data is not None:
-                self._write(self.model.parameter("process_data_out", "start"), data)
+    def _write_outputs(self, *, anywhere: bool = False) -> None:
+        """Write what is written cyclically, in other states than SAFEOP and OP when asked to."""
+        if self._outputs is None:
+            return
+        used = bool(self.oracle.al_states() & {"SAFEOP", "OP"})
+        data = image(self.model, self.oracle.example(), self._outputs)
+        start = self.model.parameter("process_data_out", "start")
+        if data is None or not (used or anywhere):
+            return
+        if used or self.oracle.process_area(DATA_OUT) == (start, len(data)):
+            self._write(start, data)
 
     def _cycle(self) -> int:
         """Give the time between two writes of process data that keeps the watchdog quiet."""
         environment = Environment(self.oracle.example().slots, {}, {})
         time = self.model.definition("watchdog_time")(environment)
-        return (
-            max(1, min(_SLOWEST, time // _OFTEN[self._virtual]))
-            if isinstance(time, int) and time
-            else _SLOWEST
-        )
+        cycle = time // _OFTEN[self._virtual] if isinstance(time, int) and time else _SLOWEST
+        return max(1, min(_SLOWEST, cycle))
 
     def _read_inputs(self) -> None:
         area = self.oracle.process_area(DATA_IN)
@@ -261,6 +375,8 @@ class Session:
     def _send(self, stimulus: SendFrame) -> None:
         if not stimulus.same_counter:
             self._counter = self._counter % self.model.parameter("highest_counter") + 1
+        self._unasked -= 1
+        self._cycles = CYCLES
         data = frame_bytes(self.model, stimulus, self._counter)
         message = self.model.decode(data)
         if message is not None:
@@ -275,12 +391,13 @@ class Session:
 
     def _send_segments(self) -> None:
         # each segment brings a byte at least, so an upload ends after as many as it has bytes
-        for number in count():
+        for number in range(SEGMENTS):
             over = not self.oracle.may_be("sdo", "UPLOADING") or self.oracle.may_be("sdo", "IDLE")
             if over or number > self.oracle.most("sdo.size"):
                 return
             self._send(upload_segment(toggle=number % 2 == 1))
             self._settle()
+        raise InconclusiveError(f"the upload does not end after {SEGMENTS} segments")
 
     def _repeat(self) -> None:
         register = self.model.protocol.registers[f"{MAIN_IN}_activation"]
@@ -290,8 +407,9 @@ class Session:
         self._write(register.address, (raw ^ mask).to_bytes(register.size, "little"))
 
     def _area(self, name: str) -> tuple[int, int]:
-        parameter = {MAIN_OUT: "mailbox_out", MAIN_IN: "mailbox_in"}[name]
-        return self.model.parameter(parameter, "start"), self.model.parameter(parameter, "length")
+        """Give where a mailbox lies as it is set, or as the device's description has it."""
+        start, length = (self.model.parameter(AREAS[name], part) for part in ("start", "length"))
+        return self.oracle.area(name) or (start, length)
 
     # --- watching ---------------------------------------------------------------------------------
 
@@ -299,20 +417,31 @@ class Session:
         if self._hurries:
             self._hurries = False
             self._look(unread=unread)
+            self._keep_up()
             return
         wait = _FIRST_WAIT
         # where anything may happen there is nothing to see before it has
         left = self.oracle.open_until(self.time) - self.time
         if left > 0:
             self._wait(left + 1)
-        while True:
+        for _ in range(LOOKS):
             self._look(unread=unread)
-            if self.oracle.settled(self.time, unread=unread):
-                return
-            deadline = self.oracle.deadline(self.time)
-            left = 0 if deadline is None else deadline - self.time + 1
-            self._wait(max(1, min(wait, left)))
+            coming = self.oracle.to_come(self.time, unread=unread)
+            self._keep_up()
+            if not coming:
+                break
+            self._wait(min(wait, min(coming) - self.time + 1))
             wait *= _SLOWER[self._virtual]
+        else:
+            raise InconclusiveError(f"the device does not come to rest, looked at {LOOKS} times")
+        if not unread and self.oracle.unseen(self.time):
+            why = "a reply is due, and whether it is there cannot be seen: working counter 0"
+            raise InconclusiveError(why)
+
+    def _keep_up(self) -> None:
+        """End the case where there was too much to follow: nothing is known from there on."""
+        if self.oracle.lost:
+            raise InconclusiveError(TOO_MUCH)
 
     def _look(self, *, unread: bool = False) -> None:
         if self._batches:
@@ -333,11 +462,17 @@ class Session:
             start, length = self._area(MAIN_IN)
             counter, data = self.adapter.read(start, length)
             message = self.model.decode(data) if counter else None
+            if message is not None:
+                self._answers.append(message)
             said = data if message is None else data[: self.model.codec.length(message)]
             self._say(SUB_DEVICE, partial(_message, self.model, "answers", message), said)
             self._observe(self._exchange(start, data, counter))
             if not counter:
                 return
+            self._unasked += self.oracle.judges_mail()
+            if self._unasked > UNASKED:
+                why = f"the device sends messages without end: {UNASKED} that nobody asked for"
+                raise InconclusiveError(why)
 
     def _read_ahead(self) -> None:
         """Read by one exchange with the adapter what a look begins with."""
@@ -391,6 +526,7 @@ class Session:
         first = name not in self._shown
         self._shown[name] = raw
         if not first:
+            self.moved |= name in AL
             shown = {
                 view.name: field_of(self.model.protocol, name, view.name, raw)
                 for view in self.model.views[name]
@@ -414,7 +550,14 @@ class Session:
         self.exchanges += 1
         mismatch = self.oracle.observe(exchange)
         if mismatch is not None:
+            self._keep_up()
             raise Deviation(mismatch)
+        self._take_advice()
+
+    def _take_advice(self) -> None:
+        for signature in self.oracle.advice.keys() - self.advice.keys():
+            advice = self.oracle.advice[signature]
+            self.advice[signature] = Advice(advice, tuple(self.trace), self.time)
 
     def _tick(self) -> None:
         """Look at the clock: exchanges take time too, where it is real."""
@@ -423,9 +566,12 @@ class Session:
 
     def _wait(self, microseconds: int) -> None:
         until = self.time + microseconds
-        cycle = microseconds if self._outputs is None else self._cycle()
+        self._every = microseconds
+        if self._outputs is not None:
+            self._every = max(self._cycle(), -(-microseconds // max(1, self._cycles)))
         while self.time < until:
-            part = min(cycle, until - self.time)
+            self._cycles -= 1
+            part = min(self._every, until - self.time)
             self.adapter.advance(part / _SECOND)
             self.time += part
             self._write_outputs()

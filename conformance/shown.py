@@ -25,6 +25,7 @@ from ecatspec.spec.language.ir import (
 )
 from ecatspec.spec.language.load import load_faults
 from ecatspec.spec.language.pretty import pretty_expression, pretty_type
+from ecatspec.spec.language.scope import AREA_PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -239,15 +240,26 @@ def _memory(protocol: Protocol) -> Sheet:
         row = (*span, register.name, *access, _bits(register), register.clauses)
         rows.append((register.address, row))
     for parameter in protocol.parameters.values():
-        match parameter.value:
-            case (Literal(start), Literal(length)) if isinstance(parameter.type, Area):
-                row = (_address(start), int(length), parameter.name, "", "", (), parameter.clauses)
-                rows.append((start, row))
-            case _:
-                pass
+        if isinstance(parameter.type, Area):
+            start, length = (_number(protocol, part) for part in parameter.value)
+            cells = (_address(start), length, parameter.name, "", "", (), parameter.clauses)
+            rows.append((start, cells))
     columns = ("address", "bytes", "name", "MainDevice", "device", "bits", "clauses")
     ordered = sorted(rows, key=lambda row: row[0])
     return Sheet("memory", "memory map", columns, tuple(row for _, row in ordered))
+
+
+def _number(protocol: Protocol, expression: Expression) -> int:
+    """Give the number that an area begins with or is long, which may be that of another area."""
+    match expression:
+        case Literal(value):
+            return int(value)
+        case Name(path):
+            name, _, part = path.partition(".")
+            parts = dict(zip(AREA_PARTS, protocol.parameters[name].value, strict=True))
+            return _number(protocol, parts[part])
+        case _:
+            raise TypeError(f"{expression} is no number")
 
 
 def _value(parameter: Parameter) -> str:

@@ -11,6 +11,7 @@ from ecatspec.generators.case import (
     Hurry,
     Probe,
     ReadConfiguration,
+    ReadInitial,
     ReadRegister,
     Repeat,
     SendFrame,
@@ -22,6 +23,7 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
     WriteRegisters,
+    WriteUntilTaken,
 )
 
 if TYPE_CHECKING:
@@ -132,6 +134,8 @@ def _simpler(stimulus: Stimulus) -> Iterator[Stimulus]:
             | SendSegments()
             | Repeat()
             | Probe()
+            | ReadInitial()
+            | WriteUntilTaken()
             | ReadConfiguration()
             | StopOutputs()
             | Hurry()

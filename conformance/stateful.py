@@ -17,10 +17,17 @@ from ecatspec.conformance.adapter import DeviceFault
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.runner import Runner, limits_of
-from ecatspec.conformance.session import Deviation
+from ecatspec.conformance.session import Deviation, InconclusiveError
 from ecatspec.conformance.shrink import shortest
 from ecatspec.generators import strategies
-from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, way_to
+from ecatspec.generators.assignment import first_assigned
+from ecatspec.generators.bringup import (
+    WAY_UP,
+    has_process_data,
+    mailbox_settings,
+    request,
+    way_to,
+)
 from ecatspec.generators.case import (
     Case,
     Happen,
@@ -30,17 +37,21 @@ from ecatspec.generators.case import (
     StopOutputs,
     Wait,
     WriteOutputs,
+    WriteRegister,
 )
 from ecatspec.generators.client import Ask, Begin, Client, Move, Segment
 from ecatspec.generators.drive_cover import CONTROL, commands
+from ecatspec.generators.process_cover import wrong_process_data
 from ecatspec.generators.token import token_of
 from ecatspec.generators.transfers import upload
 from ecatspec.generators.transfers import write as written
+from ecatspec.generators.transition_cover import wrong_settings
 from ecatspec.model.compiled import Model
+from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.spec.language.ir import ObjectEntry
@@ -132,6 +143,8 @@ class _Bench:
             words += [f"reason: {reason}" for reason in found.reasons]
             blames = any(clause.level is Level.MUST for clause in clauses)
             return _Failure(found.signature, blames, self._with_trace(words))
+        except InconclusiveError as unclear:
+            return _Failure("inconclusive", blames=False, words=str(unclear))
         except DeviceFault as death:
             words = ["expected: an answer, and a device that lives", f"observed: {death}"]
             return _Failure(type(death).__name__, blames=True, words=self._with_trace(words))
@@ -172,6 +185,12 @@ class _Bench:
         return "\n".join(("", *words, "trace:", *lines))
 
 
+def _off(managers: Iterable[str]) -> Iterator[Stimulus]:
+    """Switch SyncManagers off, which can be set only then."""
+    for name in managers:
+        yield WriteRegister(f"{name}_activation", {"enabled": 0})
+
+
 def _machine(bench: _Bench) -> type[RuleBasedStateMachine]:
     """Give the rules; those that the device or the way to it has no use for are left out."""
     model, description = bench.model, bench.runner.description
@@ -185,6 +204,8 @@ def _machine(bench: _Bench) -> type[RuleBasedStateMachine]:
     pieces = st.builds(Segment, st.integers(1, _LONGEST), mostly, mostly)
     events = sorted(description.locals)
     drives = any(word.name == CONTROL for word in model.words.values())
+    wrong_mailboxes = [stimuli for _, stimuli in wrong_settings(model)]
+    wrong_data = [*wrong_process_data(model).values()] if has_process_data(model) else []
 
     class Machine(RuleBasedStateMachine):
         """What a MainDevice does with the device, one rule at a time."""
@@ -224,6 +245,21 @@ def _machine(bench: _Bench) -> type[RuleBasedStateMachine]:
         @rule()
         def set_up(self) -> None:
             self._do(*mailbox_settings(model), SetUpProcessData())
+
+        @rule(settings=st.sampled_from(wrong_mailboxes), state=st.sampled_from(states))
+        def misset_mailbox(self, settings: tuple[Stimulus, ...], state: int) -> None:
+            """Set the mailboxes wrongly in INIT, and ask for a state."""
+            init = request(model.row("al_state", WAY_UP[0]), acknowledge=True)
+            self._do(init, *_off(SYNC_MANAGERS), *settings, request(state))
+
+        if wrong_data:
+
+            @rule(settings=st.sampled_from(wrong_data))
+            def misset_process_data(self, settings: SetUpProcessData) -> None:
+                """Set the process data wrongly in PREOP, and ask for SAFEOP."""
+                init = request(model.row("al_state", WAY_UP[0]), acknowledge=True)
+                up = (*way_to(model, "PREOP"), *first_assigned(model), *_off(PROCESS_DATA))
+                self._do(init, *up, settings, request(model.row("al_state", "SAFEOP")))
 
         @rule(microseconds=st.sampled_from(_WAITS))
         def wait(self, microseconds: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from ecatspec.conformance.verdict import BLAMING, Verdict
+from ecatspec.conformance.verdict import FOUND, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -50,16 +50,16 @@ class Knowledge:
     choices: Mapping[str, str]
     believed: Mapping[str, str]
     signatures: frozenset[str]
-    """The causes that were blamed already."""
+    """The causes that were found already."""
 
     def after(self, judged: Judged) -> Knowledge:
         """Give what is known after one more step."""
         told = judged.learned
-        blamed = {judged.verdict.signature} if judged.verdict.outcome in BLAMING else frozenset()
+        found = {judged.verdict.signature} if judged.verdict.outcome in FOUND else frozenset()
         return Knowledge(
             {**self.choices, **told.choices},
             {} if told.disbelieved else self.believed,
-            self.signatures | blamed,
+            self.signatures | found,
         )
 
 
@@ -77,6 +77,8 @@ class Learned:
     """The rules that the device surely went by in anything that was tried."""
     disbelieved: bool = False
     """What a complete suite believed of the device ended here."""
+    moved: bool = False
+    """AL Status has changed at some time until then."""
 
 
 @dataclass(frozen=True, slots=True)

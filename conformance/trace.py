@@ -1,4 +1,7 @@
-"""The only place for traceability: clause, where it is specified, which cases exercise it."""
+"""The only place for traceability: clause, where it is specified, which cases exercise it.
+
+That a run goes by a rule does not say that it would notice a mistake there: evidence says that.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ import io
 from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.conformance.evidence import fresh
 from ecatspec.conformance.exercise import Exercise
 from ecatspec.conformance.sheets import Sheet
 from ecatspec.conformance.verdict import Outcome
@@ -20,6 +25,7 @@ from ecatspec.spec.language.ir import Level
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from ecatspec.conformance.evidence import Evidence
     from ecatspec.conformance.record import Record
     from ecatspec.model.citations import Citation
     from ecatspec.model.compiled import Model
@@ -35,6 +41,21 @@ _WORST_FIRST: Final = (
     Outcome.SKIPPED,
 )
 _SHOWN_CASES: Final = 3
+_DATA: Final = frozenset(
+    {
+        "row",
+        "object",
+        "pin",
+        "open",
+        "property",
+        "parameter",
+        "condition",
+        "choice",
+        "dictionary",
+        "esi",
+    }
+)
+"""The kinds of declarations that nothing goes by: they are only looked up."""
 _COLUMNS: Final = (
     "device",
     "clause",
@@ -45,6 +66,7 @@ _COLUMNS: Final = (
     "specified",
     "standing",
     "because",
+    "violation",
     "cases",
     "first case",
     "last run",
@@ -54,7 +76,13 @@ _COLUMNS: Final = (
 class Standing(StrEnum):
     """How a clause stands between text and test."""
 
-    EXERCISED = "exercised"
+    CARRIED = "carried"
+    """A violation of it is found by a case, as measured."""
+    EXERCISED = "exercised only"
+    """Cases go by what rests on it; that they would notice a violation is not measured."""
+    ROW_ONLY = "row only"
+    """Nothing rests on it but data and choices, and no case is known to notice a violation."""
+    FREE = "demands nothing"
     MISSING = "not exercised"
     REASONED = "not exercised, with the reason"
     DATA = "data of the device description"
@@ -63,13 +91,28 @@ class Standing(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Traced:
-    """One clause; `outcomes` count those of its cases that the last run judged."""
+    """One clause; `outcomes` count those of its cases that the last run judged.
+
+    `evidence` is what it was measured by, where that holds for the texts as they are.
+    """
 
     clause: Clause
     places: tuple[Citation, ...]
     cases: tuple[str, ...]
     outcomes: Mapping[Outcome, int]
     standing: Standing
+    evidence: Evidence | None = None
+
+    @property
+    def disproved(self) -> str:
+        """Say why it is not true that nothing can exercise it; empty where nothing tells."""
+        if self.clause.because is None or self.evidence is None:
+            return ""
+        return (
+            f"{self.clause.at}: {self.clause.id} has it that nothing exercises it "
+            f'("{self.clause.because}"), but {self.evidence.case} finds '
+            f"{self.evidence.violation}; mend the text"
+        )
 
     @property
     def verdict(self) -> str:
@@ -87,6 +130,13 @@ class Trace:
     protocol: Protocol
     rows: tuple[Traced, ...]
     subject: str
+    going: Mapping[str, tuple[str, ...]]
+    """The cases that exercise what rests on a clause, whatever its standing."""
+
+    @property
+    def disproved(self) -> tuple[str, ...]:
+        """Give the reasons of the texts that evidence disproves."""
+        return tuple(filter(None, (row.disproved for row in self.rows)))
 
     @property
     def claims(self) -> tuple[str, ...]:
@@ -106,21 +156,31 @@ class Trace:
 
     @property
     def missing(self) -> tuple[Traced, ...]:
-        """Give what is specified and not exercised."""
-        return tuple(row for row in self.rows if row.standing is Standing.MISSING)
+        """Give what no case exercises, or of what no case is known to notice a violation."""
+        wanting = {Standing.MISSING, Standing.ROW_ONLY, Standing.EXERCISED}
+        return tuple(row for row in self.rows if row.standing in wanting)
 
 
-def trace_device(model: Model, record: Record | None) -> Trace:
+def demands(clause: Clause) -> bool:
+    """Tell whether a clause can be violated."""
+    return clause.level is not Level.MAY
+
+
+def trace_device(
+    model: Model, record: Record | None, known: Mapping[str, Evidence] = MappingProxyType({})
+) -> Trace:
     """Follow each clause of a device's own text to the cases that exercise it.
 
     `record` is the last run: its cases say which rules the device went by. What cases touch by
-    their stimuli (objects, registers) is known without a run.
+    their stimuli (objects, registers) is known without a run. `known` is the evidence by clause.
     """
     protocol = model.protocol
     exercise = Exercise(model)
     by_clause: dict[str, dict[str, None]] = {}
     outcomes: dict[str, Outcome] = {}
+    names: set[str] = set()
     for case in all_cases(model, NO_LIMITS):
+        names.add(case.name)
         seen = None if record is None else record.cases.get(case.name)
         if seen is not None:
             outcomes[case.name] = seen.outcome
@@ -131,17 +191,20 @@ def trace_device(model: Model, record: Record | None) -> Trace:
         for clause in citation.clauses:
             cited.setdefault(clause, []).append(citation)
     device = bool(protocol.manuals)
+    going = {clause: tuple(cases) for clause, cases in by_clause.items()}
+    holding = fresh(model, known, names)
     rows = (
         _traced(
             clause,
             tuple(cited.get(clause.id, ())),
-            tuple(by_clause.get(clause.id, ())),
+            going.get(clause.id, ()),
             outcomes,
+            holding.get(clause.id),
         )
         for clause in protocol.clauses.values()
         if clause.claims or not device
     )
-    return Trace(protocol, tuple(rows), "" if record is None else record.subject)
+    return Trace(protocol, tuple(rows), "" if record is None else record.subject, going)
 
 
 def _traced(
@@ -149,19 +212,25 @@ def _traced(
     places: tuple[Citation, ...],
     cases: tuple[str, ...],
     outcomes: Mapping[str, Outcome],
+    evidence: Evidence | None,
 ) -> Traced:
     if clause.level is Level.UNOBSERVABLE:
         standing = Standing.UNOBSERVABLE
     elif clause.because is not None:
         standing, cases = Standing.REASONED, ()  # what cites it is exercised, it is not
+    elif not demands(clause):
+        standing = Standing.FREE
+    elif evidence is not None:
+        standing = Standing.CARRIED
     elif cases:
-        standing = Standing.EXERCISED
+        data = all(place.kind in _DATA for place in places)
+        standing = Standing.ROW_ONLY if data else Standing.EXERCISED
     elif places and all(place.kind == "esi" for place in places):
         standing = Standing.DATA
     else:
         standing = Standing.MISSING
     counts = Counter(outcomes[case] for case in cases if case in outcomes)
-    return Traced(clause, places, cases, counts, standing)
+    return Traced(clause, places, cases, counts, standing, evidence)
 
 
 # --- as tables ------------------------------------------------------------------------------------
@@ -169,7 +238,7 @@ def _traced(
 
 def clause_sheet(trace: Trace, rows: Iterable[Traced]) -> Sheet:
     """Give one row for each clause."""
-    columns = ("clause", "claims", "says", "source", "specified", "cases", "last run")
+    columns = ("clause", "claims", "says", "source", "specified", "standing", "cases", "last run")
     title = f"clauses of {trace.protocol.name}"
     if trace.subject:
         title += f"; last run: {trace.subject}"
@@ -184,6 +253,7 @@ def clause_sheet(trace: Trace, rows: Iterable[Traced]) -> Sheet:
                 row.clause.wording,
                 row.clause.source,
                 _places(row),
+                _standing(row),
                 shown_cases(row),
                 row.verdict,
             )
@@ -196,11 +266,17 @@ def _places(row: Traced) -> tuple[str, ...]:
     return tuple(f"{place.kind} {place.name}".strip() for place in row.places)
 
 
+def _standing(row: Traced) -> tuple[str, ...]:
+    """Give how a clause stands, and what that rests on."""
+    if row.clause.because is not None:
+        return (f"{row.standing}: {row.clause.because}",)
+    if row.standing is Standing.CARRIED and row.evidence is not None:
+        return (f"{row.standing}: {row.evidence.case} finds", row.evidence.violation)
+    return (row.standing,)
+
+
 def shown_cases(row: Traced) -> tuple[str, ...]:
-    """Give the first cases of a clause, or why there are none."""
-    if not row.cases:
-        why = f": {row.clause.because}" if row.clause.because else ""
-        return (f"{row.standing}{why}",)
+    """Give the first cases of a clause."""
     more = len(row.cases) - _SHOWN_CASES
     return row.cases[:_SHOWN_CASES] + ((f"and {more} more",) if more > 0 else ())
 
@@ -252,6 +328,9 @@ def _data(row: Traced) -> dict[str, object]:
         "claims": list(row.clause.claims),
         "standing": row.standing.value,
         "because": row.clause.because,
+        "evidence": None
+        if row.evidence is None
+        else {"violation": row.evidence.violation, "case": row.evidence.case},
         "specified": [
             {"kind": p.kind, "name": p.name, "file": p.at.file, "line": p.at.line}
             for p in row.places
@@ -278,6 +357,7 @@ def as_csv(rows: Iterable[tuple[Trace, Traced]]) -> str:
             "; ".join(_places(row)),
             row.standing.value,
             clause.because or "",
+            "" if row.evidence is None else row.evidence.violation,
             len(row.cases),
             row.cases[0] if row.cases else "",
             row.verdict,

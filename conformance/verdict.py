@@ -22,13 +22,26 @@ class Outcome(StrEnum):
 
 
 BLAMING = frozenset({Outcome.FAIL, Outcome.CRASH})
+FOUND = BLAMING | {Outcome.WARNING}
+"""How a case ends that tells of a cause to look at."""
 MAIN_DEVICE: Final = "MainDevice"
 SUB_DEVICE: Final = "SubDevice"
 REASON: Final = "reason"
 """Who stands in a trace: the two, and why the device refused."""
+UNEXPLAINED: Final = "no state that the texts allow explains the observation"
+ADVISED: Final = "the texts allow it, and advise against it"
 WAITS: Final = "waits"
 BEFALLEN: Final = "is befallen by"
 """How words begin of which nothing goes over the bus."""
+
+
+class Conclusion(StrEnum):
+    """What a run says of the device as a whole."""
+
+    CONFORMS = "conforms"
+    NOT_SHOWN = "not shown"
+    """Nothing blames it, but it never was in a state that cases needed."""
+    DOES_NOT_CONFORM = "does not conform"
 
 
 class Way(Enum):
@@ -145,15 +158,39 @@ class Result:
     """What the complete suites are worth for this device, one line for each."""
     set_up: SetUp | None = None
     """None: it was no run, and no case of it can be run again."""
+    unreached: tuple[str, ...] = ()
+    """The AL states that cases needed and none reached."""
 
     def count(self, outcome: Outcome) -> int:
         """Count the verdicts of one outcome."""
         return sum(verdict.outcome is outcome for verdict in self.verdicts)
 
     @property
+    def conclusion(self) -> Conclusion:
+        """Say what was found of the device, so far if the run was interrupted."""
+        if any(verdict.outcome in BLAMING for verdict in self.verdicts):
+            return Conclusion.DOES_NOT_CONFORM
+        shown = self.interrupted or not self.unreached
+        return Conclusion.CONFORMS if shown else Conclusion.NOT_SHOWN
+
+    @property
     def conforms(self) -> bool:
-        """Tell whether nothing blames the device."""
-        return not any(verdict.outcome in BLAMING for verdict in self.verdicts)
+        """Tell whether nothing blames the device, and it was wherever cases needed it."""
+        return self.conclusion is Conclusion.CONFORMS
+
+    def unreached_words(self) -> str:
+        """Say which AL states were never reached, and why the first case that needed them was not.
+
+        Empty where all were.
+        """
+        if not self.unreached:
+            return ""
+        outcome = Outcome.INCONCLUSIVE
+        reasons = [v.reason for v in self.verdicts if v.outcome is outcome]
+        first = next((reason for reason in reasons if self.unreached[0] in reason), "")
+        were = "was" if len(self.unreached) == 1 else "were"
+        said = f"{', '.join(self.unreached)} {were} never reached"
+        return f"{said} ({first})" if first else said
 
     def unjudged(self) -> tuple[tuple[Outcome, str, int], ...]:
         """Give why cases say nothing about the device, with their number."""

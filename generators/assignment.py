@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.case import ReadConfiguration
+from ecatspec.generators.case import ReadConfiguration, SendFrame
 from ecatspec.generators.transfers import download
 from ecatspec.model.dictionary import encode_value, size_of
+from ecatspec.model.once import once
 from ecatspec.model.process_image import OUTPUTS
+from ecatspec.model.shown import layout
+from ecatspec.model.subdevice import power_on
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from ecatspec.generators.case import Stimulus
     from ecatspec.model.compiled import Model
+    from ecatspec.model.state import State
     from ecatspec.model.values import ObjectKey
 
 
@@ -69,6 +75,87 @@ def assign_all(model: Model, keys: tuple[ObjectKey, ...]) -> tuple[Stimulus, ...
             count = set_entry(model, pdo, 0, len(keys))
             return (*clear, *entries, count, *assign(model, index, pdo))
     return ()
+
+
+@once
+def first_assigned(model: Model) -> tuple[Stimulus, ...]:
+    """Assign process data in each direction that has none at power-on, as far as PDOs hold some.
+
+    The entries that are there are counted, the fewest that hold anything; else the first PDO that
+    holds anything is assigned.
+    """
+    state = power_on(model)
+    found: list[Stimulus] = []
+    if not model.has_mailbox:
+        return ()
+    for name, index in model.image.assignments.items():
+        count = model.dictionary.entries.get((index, 0))
+        if layout(model, state, name) or count is None or count.access is Access.READ:
+            continue
+        kept = model.dictionary.highest(index)
+        counted = (n for n in range(1, kept + 1) if _holds(model, _counting(state, index, n), name))
+        for number in counted:
+            found.append(set_entry(model, index, 0, number))
+            break
+        else:
+            chosen = (pdo for pdo in pdos_of(model, name) if _known(state, pdo))
+            found += (s for pdo in (*chosen,)[:1] for s in assign(model, index, pdo))
+    return tuple(found)
+
+
+def read_configuration(model: Model) -> tuple[Stimulus, ...]:
+    """Read what is assigned and mapped, of what `first_assigned` assigns too, then as before."""
+    assigning = first_assigned(model)
+    if not assigning:
+        return (ReadConfiguration(),) if model.has_mailbox else ()
+    counts = [(index, 0) for index in model.image.assignments.values()]
+    written = {key for stimulus in assigning if (key := _written(stimulus)) is not None}
+    back = (set_entry(model, *key, 0) for key in counts if key in written)
+    return (ReadConfiguration(), *assigning, ReadConfiguration(), *back)
+
+
+def at_power_on(model: Model, objects: Iterable[tuple[ObjectKey, bytes]]) -> dict[ObjectKey, bytes]:
+    """Give what sets up process data, of the objects that are known after `read_configuration`."""
+    changed = {_written(s) for s in first_assigned(model)} - {
+        (index, 0) for index in model.image.assignments.values()
+    }
+    return {key: value for key, value in objects if model.sets_up(key[0]) and key not in changed}
+
+
+def _written(stimulus: Stimulus) -> ObjectKey | None:
+    """Give the entry that a download writes."""
+    if not isinstance(stimulus, SendFrame):
+        return None
+    index, subindex = stimulus.fields["index"], stimulus.fields["subindex"]
+    assert isinstance(index, int)
+    assert isinstance(subindex, int)
+    return index, subindex
+
+
+@once
+def brought_up(model: Model) -> State:
+    """Give the state of the virtual SubDevice in PREOP with the process data that it gets there."""
+    state = power_on(model)
+    for stimulus in first_assigned(model):
+        key = _written(stimulus)
+        if isinstance(stimulus, SendFrame) and key is not None:
+            value = stimulus.fields["value"]
+            assert isinstance(value, bytes)
+            state = state.keeping(key, value)
+    return state
+
+
+def _counting(state: State, index: int, number: int) -> State:
+    return state.keeping((index, 0), number.to_bytes(1, "little"))
+
+
+def _holds(model: Model, state: State, name: str) -> bool:
+    return bool(layout(model, state, name))
+
+
+def _known(state: State, pdo: int) -> bool:
+    """Tell whether a PDO counts entries at power-on."""
+    return any(state.known().get((pdo, 0), b""))
 
 
 def _held(model: Model, pdo: int) -> set[ObjectKey | None]:

@@ -9,6 +9,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.generators.assignment import brought_up
 from ecatspec.generators.bringup import (
     WAY_UP,
     has_process_data,
@@ -29,7 +30,6 @@ from ecatspec.generators.process_data import holds, image_size
 from ecatspec.generators.transfers import download
 from ecatspec.model.dictionary import encode_value
 from ecatspec.model.esc import PROCESS_DATA
-from ecatspec.model.subdevice import power_on
 from ecatspec.spec.language.scope import CYCLIC
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class _Player:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._power_on = power_on(model)
+        self._brought_up = brought_up(model)
         names = {r.value: r.name for r in model.protocol.tables["al_state"].rows}
         self._states = names
 
@@ -197,7 +197,7 @@ class _Player:
         for name in PROCESS_DATA:
             fields = dict(boundary.written.get(name, {}))
             if "length" in fields:
-                size = image_size(self._model, self._power_on, name) or 0
+                size = image_size(self._model, self._brought_up, name) or 0
                 longer[name] = fields.pop("length") - size
             activation = f"{name}_activation"
             if fields:
@@ -217,7 +217,7 @@ class _Player:
         raw = 0
         for bits in word.fields:
             raw |= int(_numbers(event.parameters).get(bits.name, 0)) << bits.low
-        if event.parameters.get(CYCLIC, False) and holds(self._model, self._power_on, name):
+        if event.parameters.get(CYCLIC, False) and holds(self._model, self._brought_up, name):
             return WriteOutputs({name: raw})
         entry = None if word.key is None else self._model.dictionary.entries.get(word.key)
         if word.key is None or entry is None:

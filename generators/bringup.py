@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from ecatspec.generators.assignment import first_assigned
 from ecatspec.generators.case import (
     Case,
     Probe,
+    ReadConfiguration,
+    ReadInitial,
+    Repeat,
+    SendFrame,
+    SendSegments,
     SetUpProcessData,
     Stimulus,
     WriteOutputs,
     WriteRegister,
     WriteRegisters,
+    WriteUntilTaken,
 )
-from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.esc import AREAS, SYNC_MANAGERS
 from ecatspec.model.shown import mailbox_fields
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from ecatspec.model.compiled import Model
 
@@ -27,21 +35,36 @@ _BEFORE: Mapping[str, tuple[Stimulus, ...]] = {
     "SAFEOP": (WriteRegister("watchdog_process_data", {"time": WATCHDOG}), SetUpProcessData()),
     "OP": (WriteOutputs(),),
 }
+_MAILBOX = (
+    SendFrame,
+    SendSegments,
+    Repeat,
+    ReadConfiguration,
+    ReadInitial,
+    WriteUntilTaken,
+    Probe,
+)
 WAY_UP = ("INIT", "PREOP", "SAFEOP", "OP")
 
 
 def mailbox_settings(
-    model: Model, changes: Mapping[str, Mapping[str, int]] | None = None
+    model: Model,
+    changes: Mapping[str, Mapping[str, int]] | None = None,
+    areas: Mapping[str, str] = AREAS,
 ) -> tuple[Stimulus, ...]:
-    """Set both mailbox SyncManagers as the texts say; `changes` deviates field by field."""
+    """Set both mailbox SyncManagers as the texts say; `changes` deviates field by field.
+
+    `areas` are the parameters that say where they lie: those of BOOT are others.
+    """
     changes = changes or {}
     stimuli: list[Stimulus] = []
     for name in SYNC_MANAGERS:
         activation = f"{name}_activation"
+        usual = mailbox_fields(model, name, areas[name])
         stimuli.append(
             WriteRegisters(
                 (
-                    WriteRegister(name, mailbox_fields(model, name) | dict(changes.get(name, {}))),
+                    WriteRegister(name, usual | dict(changes.get(name, {}))),
                     WriteRegister(activation, changes.get(activation, {"enabled": 1})),
                 )
             )
@@ -56,12 +79,32 @@ def request(value: int, *, acknowledge: bool = False) -> WriteRegister:
 
 def way_to(model: Model, state: str) -> tuple[Stimulus, ...]:
     """Give the stimuli from power-on to an AL state on the way up."""
-    stimuli: list[Stimulus] = list(mailbox_settings(model))
+    stimuli: list[Stimulus] = list(mailbox_settings(model)) if model.has_mailbox else []
     for name in WAY_UP[1 : WAY_UP.index(state) + 1]:
         if has_process_data(model):
+            stimuli += first_assigned(model) if name == "SAFEOP" else ()
             stimuli += _BEFORE.get(name, ())
         stimuli.append(request(model.row("al_state", name)))
     return tuple(stimuli)
+
+
+def possible(model: Model, case: Case) -> Iterator[Case]:
+    """Yield the case; of a device without a mailbox only one that can do without, and so it does.
+
+    No proof of life is asked for there.
+    """
+    if model.has_mailbox:
+        yield case
+        return
+    before = sum(not isinstance(each, Probe) for each in case.stimuli[: case.prelude])
+    stimuli = tuple(each for each in case.stimuli if not isinstance(each, Probe))
+    if stimuli and not any(map(needs_mailbox, stimuli)):
+        yield replace(case, stimuli=stimuli, prelude=before)
+
+
+def needs_mailbox(stimulus: Stimulus) -> bool:
+    """Tell whether a stimulus goes by way of the mailbox."""
+    return isinstance(stimulus, _MAILBOX)
 
 
 def has_process_data(model: Model) -> bool:

@@ -63,6 +63,22 @@ class Probe:
 
 
 @dataclass(frozen=True, slots=True)
+class ReadInitial:
+    """The MainDevice reads an entry to which nobody wrote since power-on."""
+
+    index: int
+    subindex: int
+
+
+@dataclass(frozen=True, slots=True)
+class WriteUntilTaken:
+    """The MainDevice writes an entry until it takes a value: what it holds first, then others."""
+
+    index: int
+    subindex: int
+
+
+@dataclass(frozen=True, slots=True)
 class ReadConfiguration:
     """The MainDevice reads by SDO what is assigned to the process data and mapped into it."""
 
@@ -120,6 +136,8 @@ Stimulus: TypeAlias = (
     | SendSegments
     | Repeat
     | Probe
+    | ReadInitial
+    | WriteUntilTaken
     | ReadConfiguration
     | SetUpProcessData
     | WriteOutputs
@@ -152,7 +170,9 @@ class Case:
 
     `needs` is the AL state that the stimuli before `prelude` must have reached for the case to
     mean something. `flag` names what is broken in it, a key of `families.NOTES`; `feature` what
-    the way to the device must be able to carry.
+    the way to the device must be able to carry. `about` is the rule that it looks for, as
+    `machine.rule`: a finding behind the prelude cites its clauses too, also where the rule itself
+    changes nothing that a MainDevice sees.
     """
 
     name: str
@@ -163,3 +183,4 @@ class Case:
     prelude: int = 0
     flag: str = ""
     feature: str = ""
+    about: str = ""

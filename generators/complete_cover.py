@@ -15,6 +15,7 @@ from ecatspec.generators.transfers import (
     read,
     segment,
     upload,
+    write,
 )
 from ecatspec.model.dictionary import encode_value, size_of
 from ecatspec.spec.language.ir import Access, Bool, SInt
@@ -41,6 +42,7 @@ def complete_cover(model: Model, limits: Limits) -> Iterator[Case]:
         beyond = upload(index, 2, complete=True)
         title = "complete upload from subindex 2"
         yield _case(model, f"complete_upload/{index:04X}_from_2", title, [beyond])
+        yield from _hidden(model, limits, index, entries)
         if any(is_written(entry) for entry in entries):
             yield from _downloads(model, limits, index, entries)
     yield from _mixed(model, limits)
@@ -51,6 +53,17 @@ def complete_cover(model: Model, limits: Limits) -> Iterator[Case]:
         put = initiate(index, 0, 2, b"\1\0", complete=True)
         title = "complete download of a missing object"
         yield _case(model, f"complete_no_object/download/{index:04X}", title, [put])
+
+
+def _hidden(model: Model, limits: Limits, index: int, entries: list[ObjectEntry]) -> Iterator[Case]:
+    """Yield uploads of an object after writes to those of its entries that cannot be read."""
+    hidden = [e for e in entries if e.access is Access.WRITE and not e.states]
+    writes = [s for e in hidden for s in write(model, e, other_sample(e), limits)]
+    for first in (0, 1) if len(entries) > 1 and hidden else ():
+        name = f"complete_upload_hidden/{index:04X}_from_{first}"
+        stimuli = [*writes, *read(index, first, complete=True)]
+        title = f"upload all from {first}, after writes to what cannot be read"
+        yield _case(model, name, title, stimuli)
 
 
 def _mixed(model: Model, limits: Limits) -> Iterator[Case]:
@@ -106,6 +119,12 @@ def image(entries: list[ObjectEntry], first: int) -> bytes:
     return data
 
 
+def _half(entries: list[ObjectEntry], first: int) -> bytes:
+    """Give the bytes of about half of the entries, whole ones; nothing where there is one only."""
+    taken = [entry for entry in entries if entry.subindex >= first]
+    return image(taken[: len(taken) // 2], first)
+
+
 def out_of_range(entries: list[ObjectEntry], first: int) -> bytes | None:
     """Give an image in which one entry has a value that is too high, where that can be."""
     data, found = b"", False
@@ -158,6 +177,10 @@ def _downloads(
             "shorter": normal_download(model, (index, first), data[:-1], limits, complete=True),
             "longer": normal_download(model, (index, first), data + b"\1", limits, complete=True),
         }
+        part = _half(entries, first)
+        if part:
+            begun = normal_download(model, (index, first), part, limits, complete=True)
+            shapes["half"] = begun
         if len(entries) == 1:
             shapes = {"whole": shapes["whole"][:_FEW]}
         odd = out_of_range(entries, first)

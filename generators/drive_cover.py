@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.assignment import assign_all
+from ecatspec.generators.assignment import assign_all, brought_up
 from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
@@ -61,9 +61,9 @@ def is_drive(model: Model) -> bool:
 
 @once
 def is_driven(model: Model) -> bool:
-    """Tell whether process data command the drive from power-on."""
+    """Tell whether process data command the drive, as they are assigned on the way up."""
     ready = is_drive(model) and has_process_data(model)
-    return ready and holds(model, power_on(model), CONTROL)
+    return ready and holds(model, brought_up(model), CONTROL)
 
 
 def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -71,6 +71,7 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
     if not is_drive(model):
         return
     yield from _by_sdo(model)
+    yield from _modes(model)
     if not is_driven(model):
         return
     device = VirtualSubDevice(model.protocol)
@@ -87,7 +88,6 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
             yield _case(model, (*way, symbol))
     yield from _leaving(model, shortest)
     yield from _options(model, shortest)
-    yield from _modes(model)
     yield from _mapped_modes(model)
     yield from _reads(model, shortest)
     yield from _resets(model, shortest)
@@ -133,6 +133,10 @@ def _others(model: Model) -> Iterator[Symbol]:
     for value in range(bits + 1):
         if value & ~bits == 0 and value not in known.values():
             yield f"word_{value:04X}", WriteOutputs({CONTROL: value})
+    halted = known["halt"] & ~known["enable_operation"]
+    for name, value in known.items():
+        if value | halted not in known.values():
+            yield f"{name}_halted", WriteOutputs({CONTROL: value | halted})
 
 
 def _symbols(model: Model) -> Iterator[Symbol]:
@@ -227,9 +231,15 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
         for target in ("SAFEOP", "PREOP", "INIT"):
             down = request(model.row("al_state", target))
             yield _in(model, f"leaving_by_{target}/{name}", (*_of(way), down))
+        every = tuple(stimulus for _, stimulus in _words(model))
+        for target in ("SAFEOP", "PREOP"):
+            down = request(model.row("al_state", target))
+            looks = tuple(_look(model)) if target == "PREOP" else ()
+            done = (*_of(way), down, *looks, *every, *looks)
+            yield _in(model, f"commands_in_{target}_after_OP/{name}", done)
         down = request(model.row("al_state", "SAFEOP"))
         yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again))
-        up = way_to(model, "OP")[len(way_to(model, "PREOP")) :]
+        up = _from_preop(model, "OP")
         preop = request(model.row("al_state", "PREOP"))
         yield _in(model, f"up_again/{name}", (*_of(way), preop, *up, *again))
         if name == _FAULT:
@@ -245,6 +255,13 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
         lost = (*_of(ways.get(_ENABLED, ())), StopOutputs(), Wait(_LONG), WriteOutputs())
         done = (*chosen, *lost, safeop, op, *again)
         yield _in(model, f"connection_lost/{'default' if option is None else option}", done)
+
+
+def _look(model: Model) -> Iterator[Stimulus]:
+    """Yield an upload of the status word."""
+    status = model.protocol.words[STATUS].key
+    if status is not None:
+        yield upload(*status)
 
 
 def _resets(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
@@ -270,7 +287,7 @@ def _early(model: Model) -> Iterator[Case]:
         yield _in(model, f"early/{name}", early, "SAFEOP")
     if control is not None and status is not None:
         first = _set(model, control, known["shutdown"])
-        up = way_to(model, "SAFEOP")[len(way_to(model, "PREOP")) :]
+        up = _from_preop(model, "SAFEOP")
         yield _in(model, "early/by_sdo", (first, *up, upload(*status)), "PREOP")
 
 
@@ -337,12 +354,18 @@ def _modes(model: Model) -> Iterator[Case]:
         return
     rows = [r.value for r in model.protocol.tables["operation_mode"].rows]
     first_ones = (*rows[:1], *_offered(model)[0][:1])
+    ask = upload(*active)
+    up = _from_preop(model, "SAFEOP")
     for mode in (*rows, 5, 11, 127, -1):
-        done = (_set(model, chosen, mode), upload(*active))
-        yield _in(model, f"mode_{mode}/PREOP", done, "PREOP")
+        chosen_by_sdo = _set(model, chosen, mode)
+        # a drive may show its mode from SAFEOP on
+        yield _in(model, f"mode_{mode}/PREOP", (chosen_by_sdo, ask, *up, ask), "PREOP")
+        if not is_driven(model):
+            continue
+        done = (chosen_by_sdo, ask)
         yield _in(model, f"mode_{mode}/OP", done)
         for first in first_ones:
-            again = (_set(model, chosen, first), upload(*active), *done)
+            again = (_set(model, chosen, first), ask, *done)
             yield _in(model, f"mode_{mode}_after_{first}/OP", again)
 
 
@@ -362,7 +385,7 @@ def _mapped_modes(model: Model) -> Iterator[Case]:
     ask = upload(*active)
     by_sdo = _set(model, chosen, good[0]), ask
     brought = WriteOutputs({CHOSEN: good[1]}), ask
-    safeop, up = (way_to(model, state)[len(way_to(model, "PREOP")) :] for state in ("SAFEOP", "OP"))
+    safeop, up = (_from_preop(model, state) for state in ("SAFEOP", "OP"))
     done: dict[str, tuple[Stimulus, ...]] = {
         "PREOP": by_sdo,
         "SAFEOP": (*safeop, *by_sdo, *brought, request(model.row("al_state", "OP")), ask),
@@ -390,6 +413,10 @@ def _offered(model: Model) -> tuple[list[int], list[int]]:
 
 
 # --- helpers --------------------------------------------------------------------------------------
+
+
+def _from_preop(model: Model, state: str) -> tuple[Stimulus, ...]:
+    return way_to(model, state)[len(way_to(model, "PREOP")) :]
 
 
 def _of(way: Way) -> tuple[Stimulus, ...]:

@@ -9,6 +9,7 @@ from ecatspec.generators.bringup import WAY_UP, case_in, mailbox_settings, reque
 from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, Stimulus
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import size_of, size_varies
+from ecatspec.model.esc import BOOTSTRAP
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
@@ -131,6 +132,15 @@ def _states(model: Model, ask: SendFrame) -> Iterator[Case]:
         yield case_in(model, name, f"upload in {state}", [ask, ask], state=state)
     stimuli = (*mailbox_settings(model), ask)
     yield Case("mailbox/upload_in_INIT", "upload in INIT", "mailbox", stimuli, prelude=2)
+    boot = (*mailbox_settings(model, areas=BOOTSTRAP), request(model.row("al_state", "BOOT")))
+    yield Case(
+        "mailbox/upload_in_BOOT", "upload in BOOT", "mailbox", (*boot, ask), prelude=len(boot)
+    )
+    init = request(model.row("al_state", "INIT"))
+    for state in WAY_UP[1:]:
+        name, title = f"mailbox/upload_in_INIT_after_{state}", f"upload in INIT after {state}"
+        way = way_to(model, state)
+        yield Case(name, title, "mailbox", (*way, ask, init, ask), state, len(way))
     beyond = SendFrame(ask.frame, {**ask.fields, "length": model.parameter("maximal_mailbox")})
     stimuli = (*mailbox_settings(model), beyond)
     title = "a message in INIT that is too long for the mailbox"

@@ -127,7 +127,7 @@ def mutants(protocol: Protocol) -> Iterator[Mutant]:
     for name, speakers in sorted(_speakers(protocol).items()):
         definition = protocol.definitions[name]
         number = kind_of(protocol, definition.value, Scope()) in _NUMBERS
-        changes = _of_guard(definition.value, negated=not number)
+        changes = wrong_checks(definition.value, negated=not number)
         for operator, before, after, value in _numbered(changes):
             definitions = protocol.definitions | {name: replace(definition, value=value)}
             yield Mutant(
@@ -199,7 +199,7 @@ _Change: TypeAlias = tuple[Operator, str, str, Rule]
 
 def _of_rule(protocol: Protocol, machine: Machine, rule: Rule) -> Iterator[_Change]:
     if rule.guard is not None:
-        for operator, before, after, guard in _of_guard(rule.guard):
+        for operator, before, after, guard in wrong_checks(rule.guard):
             yield operator, before, after, replace(rule, guard=guard)
     yield from _targets(machine, rule)
     for number, update in enumerate(rule.updates):
@@ -246,7 +246,7 @@ def _with(rows: tuple[_T, ...], number: int, row: _T) -> tuple[_T, ...]:
 # --- guards ---------------------------------------------------------------------------------------
 
 
-def _of_guard(
+def wrong_checks(
     guard: Expression, *, negated: bool = True
 ) -> Iterator[tuple[Operator, str, str, Expression]]:
     """Yield guards that are wrong in one point; `negated`: also the contrary."""
@@ -350,7 +350,7 @@ def _values(protocol: Protocol, machine: Machine, rule: Rule) -> Iterator[_Chang
     def updates(rows: tuple[Update, ...]) -> Iterator[tuple[str, str, tuple[Update, ...]]]:
         for number, row in enumerate(rows):
             kind = variables.get(row.variable)
-            for before, after, value in _wrong(protocol, kind, row.value):
+            for before, after, value in wrong_values(protocol, kind, row.value):
                 wrong = replace(row, value=value)
                 changed = _with(rows, number, wrong)
                 yield f"{row.variable} = {before}", after, changed
@@ -391,20 +391,20 @@ def _wrong_named(
     protocol: Protocol, types: dict[str, Type], named: _NamedValues
 ) -> Iterator[tuple[str, str, _NamedValues]]:
     for number, (name, value) in enumerate(named):
-        for before, after, wrong in _wrong(protocol, types.get(name), value):
+        for before, after, wrong in wrong_values(protocol, types.get(name), value):
             changed = _with(named, number, (name, wrong))
             yield f"{name} = {before}", after, changed
 
 
-def _wrong(
+def wrong_values(
     protocol: Protocol, kind: Type | None, value: Expression
 ) -> Iterator[tuple[str, str, Expression]]:
     """Yield wrong values for one that is not left open."""
     match value:
         case Conditional(condition, then, otherwise):
-            for before, after, wrong in _wrong(protocol, kind, then):
+            for before, after, wrong in wrong_values(protocol, kind, then):
                 yield before, after, Conditional(condition, wrong, otherwise)
-            for before, after, wrong in _wrong(protocol, kind, otherwise):
+            for before, after, wrong in wrong_values(protocol, kind, otherwise):
                 yield before, after, Conditional(condition, then, wrong)
             return
         case AnyValue():

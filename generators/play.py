@@ -1,4 +1,4 @@
-"""The only place where stimuli are given to a virtual SubDevice that nobody judges."""
+"""Gives stimuli to a virtual SubDevice whose answers are not judged."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING
 from ecatspec.generators.case import (
     Happen,
     Hurry,
+    ReadConfiguration,
+    ReadInitial,
+    SendFrame,
     SetUpProcessData,
     StopOutputs,
     Wait,
@@ -15,7 +18,9 @@ from ecatspec.generators.case import (
     WriteRegisters,
 )
 from ecatspec.generators.process_data import image, settings
-from ecatspec.generators.stimulus import register_bytes, registers_bytes
+from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
+from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.spec.language.scope import AREA_PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -24,6 +29,7 @@ if TYPE_CHECKING:
     from ecatspec.model.compiled import Model
     from ecatspec.model.subdevice import VirtualSubDevice
 
+_, MAIN_IN = SYNC_MANAGERS
 _SECOND = 1_000_000
 AWHILE = 0.05
 """Seconds after each stimulus: shorter than a watchdog, longer than what comes by itself."""
@@ -35,12 +41,12 @@ def play(
     stimuli: Iterable[Stimulus],
     words: Mapping[str, int] | None = None,
 ) -> Mapping[str, int] | None:
-    """Give stimuli that need no mailbox, each with the time that it takes to settle.
+    """Give stimuli, each with the time that it takes to settle; replies are read and dropped.
 
     `words` are written cyclically already, None: nothing is. Give what is written in the end.
 
     Raises:
-        TypeError: A stimulus needs the mailbox.
+        TypeError: A stimulus depends on what the device answers.
 
     """
     for stimulus in stimuli:
@@ -58,17 +64,33 @@ def play(
                 words = None
             case Wait(microseconds=microseconds):
                 device.advance(microseconds / _SECOND)
-            case Hurry():
+            case SendFrame():
+                exchange(model, device, stimulus)
+            case ReadConfiguration() | ReadInitial() | Hurry():
                 continue
             case Happen(event=event):
                 machine, _, name = event.partition(".")
                 device.happen(machine, name, {})
             case _:
-                raise TypeError(f"{stimulus} needs the mailbox")
+                raise TypeError(f"{stimulus} depends on what the device answers")
         _cycle(model, device, words)
         device.advance(AWHILE)
         _cycle(model, device, words)
     return words
+
+
+def exchange(
+    model: Model, device: VirtualSubDevice, stimulus: SendFrame, counter: int = 0
+) -> list[bytes]:
+    """Send a message and give all messages that come; with the counter 0 it is no duplicate."""
+    start, length = (model.parameter("mailbox_out", part) for part in AREA_PARTS)
+    data = frame_bytes(model, stimulus, counter)
+    device.write(start, data.ljust(length, b"\0"))
+    device.advance(AWHILE)
+    found: list[bytes] = []
+    while (box := device.esc.mailbox(MAIN_IN)) is not None and box.full:
+        found.append(device.read(box.channel.start, box.channel.length)[1])
+    return found
 
 
 def _cycle(model: Model, device: VirtualSubDevice, words: Mapping[str, int] | None) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from ecatspec.generators.assignment import brought_up, first_assigned
 from ecatspec.generators.bringup import WATCHDOG, has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
@@ -17,9 +19,10 @@ from ecatspec.generators.case import (
     WriteRegister,
     WriteRegisters,
 )
-from ecatspec.generators.process_data import image_size, settings
+from ecatspec.generators.process_data import holds, image_size, settings
+from ecatspec.generators.transfers import upload
 from ecatspec.model.esc import PROCESS_DATA
-from ecatspec.model.subdevice import power_on
+from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,11 +43,14 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
         yield _case(model, f"sync_lost/{state}", (Happen("al.sync_lost"),), state)
     if not has_process_data(model):
         return
-    used = [name for name in PROCESS_DATA if image_size(model, power_on(model), name)]
-    yield from _settings(model, used)
+    used = _used(model)
+    for name, set_up in wrong_process_data(model).items():
+        yield _refused(model, name, set_up)
     if _OUTPUTS in used:
         yield from _way_to_op(model)
         yield from _watchdog(model)
+        yield from _ignored(model)
+    yield from _unwatched(model, used)
     for state in ("SAFEOP", "OP"):
         for name in used:
             off = WriteRegister(f"{name}_activation", {"enabled": 0})
@@ -54,16 +60,55 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
             yield _case(model, f"disabled_both/{state}", (_both_off(model),), state)
 
 
+def _unwatched(model: Model, used: list[str]) -> Iterator[Case]:
+    """Yield SyncManagers that are disabled where no process data run any more."""
+    for state in ("SAFEOP", "OP"):
+        for below in ("INIT", "PREOP"):
+            for name in used:
+                off = WriteRegister(f"{name}_activation", {"enabled": 0})
+                done = (_to(model, below), off, _to(model, below))
+                yield replace(
+                    _case(model, f"disabled_{name}/{below}_after_{state}", done, state),
+                    about="al.process_data_prepared" if below == "PREOP" else "",
+                )
+
+
+def _ignored(model: Model) -> Iterator[Case]:
+    """Yield outputs in PREOP, before and after there were process data, which act nowhere."""
+    for name, word in model.protocol.words.items():
+        entry = None if word.key is None else model.dictionary.entries.get(word.key)
+        if entry is None or entry.access is Access.WRITE or entry.read_states:
+            continue
+        if not holds(model, brought_up(model), name):
+            continue
+        ask = upload(entry.index, entry.subindex)
+        tried = (ask, WriteOutputs({name: (1 << 8 * word.size) - 1}), ask)
+        before = (*first_assigned(model), SetUpProcessData(), *tried)
+        after = (_to(model, "PREOP"), *tried)
+        for case in (
+            _case(model, f"outputs_in_PREOP/{name}", before, "PREOP"),
+            _case(model, f"outputs_in_PREOP_after_OP/{name}", after, "OP"),
+        ):
+            yield replace(case, about="process_data.outputs_unheard")
+
+
 def _both_off(model: Model) -> WriteRegisters:
     """Disable both SyncManagers by one write, which leaves what lies between as it is."""
-    _, inputs = settings(model, power_on(model), SetUpProcessData())
+    _, inputs = settings(model, brought_up(model), SetUpProcessData())
     off = [WriteRegister(f"{name}_activation", {"enabled": 0}) for name in PROCESS_DATA]
     return WriteRegisters((off[0], inputs.writes[0], off[1]))
 
 
-def _settings(model: Model, used: list[str]) -> Iterator[Case]:
-    """Yield settings that deviate in one point, then the right ones."""
+def _used(model: Model) -> list[str]:
+    """Give the SyncManagers that have process data, as they are assigned on the way up."""
+    return [name for name in PROCESS_DATA if image_size(model, brought_up(model), name)]
+
+
+def wrong_process_data(model: Model) -> dict[str, SetUpProcessData]:
+    """Give settings of process data that deviate in one point, or in one for each direction."""
     mailbox = model.row("sync_manager_mode", "mailbox")
+    used = _used(model)
+    found: dict[str, SetUpProcessData] = {}
     for name in used:
         wrong_way = "main_reads" if name == _OUTPUTS else "main_writes"
         direction = model.row("sync_manager_direction", wrong_way)
@@ -78,14 +123,12 @@ def _settings(model: Model, used: list[str]) -> Iterator[Case]:
             "reversed": SetUpProcessData({name: {"direction": direction}}),
             "moved": SetUpProcessData({name: {"start": moved}}),
         }
-        for what, set_up in wrong.items():
-            yield _refused(model, f"{what}_{name}", set_up)
+        found |= {f"{what}_{name}": set_up for what, set_up in wrong.items()}
     if len(used) > 1:
-        both = SetUpProcessData(longer=dict.fromkeys(used, 2))
-        yield _refused(model, "too_long_both", both)
-        yield _refused(
-            model, "off_both", SetUpProcessData({f"{n}_activation": {"enabled": 0} for n in used})
-        )
+        off = {f"{name}_activation": {"enabled": 0} for name in used}
+        found["too_long_both"] = SetUpProcessData(longer=dict.fromkeys(used, 2))
+        found["off_both"] = SetUpProcessData(off)
+    return found
 
 
 def _refused(model: Model, name: str, settings: SetUpProcessData) -> Case:
@@ -130,9 +173,18 @@ def _watchdog(model: Model) -> Iterator[Case]:
         done = (register, WriteOutputs(), StopOutputs(), Wait(patience))
         yield _case(model, what, done, "OP")
     yield from _longest_watchdog(model)
+    yield from _power_on_watchdog(model)
     untriggered = SetUpProcessData({_OUTPUTS: {"watchdog_trigger": 0}})
     up = (untriggered, _to(model, "SAFEOP"), WriteOutputs(), op, *expired)
     yield _case(model, "watchdog_not_triggered", (*up, WriteOutputs()), "PREOP")
+
+
+def _power_on_watchdog(model: Model) -> Iterator[Case]:
+    """Yield the watchdog as it is from power-on, which the way up sets to another time."""
+    ticks = model.protocol.registers["watchdog_process_data"].reset
+    up = (*first_assigned(model), SetUpProcessData(), _to(model, "SAFEOP"), WriteOutputs())
+    expired = (StopOutputs(), Wait(2 * _watchdog_time(model, ticks=ticks)))
+    yield _case(model, "watchdog_as_at_power_on", (*up, _to(model, "OP"), *expired), "PREOP")
 
 
 def _longest_watchdog(model: Model) -> Iterator[Case]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.case import WriteRegister, WriteRegisters
-from ecatspec.model.esc import AREAS, DIRECTIONS, PROCESS_DATA
+from ecatspec.model.esc import AREAS, PROCESS_DATA
 from ecatspec.model.process_image import INPUTS, OUTPUTS, placed
-from ecatspec.model.shown import layout
+from ecatspec.model.shown import control_fields, layout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -37,11 +37,8 @@ def settings(model: Model, state: State, wanted: SetUpProcessData) -> tuple[Writ
         fields = {
             "start": model.parameter(AREAS[name], "start"),
             "length": max(0, size + wanted.longer.get(name, 0)),
-            "mode": model.row("sync_manager_mode", "buffered"),
-            "direction": model.row("sync_manager_direction", DIRECTIONS[name]),
+            **control_fields(model, name),
         }
-        if name == PROCESS_DATA[0]:
-            fields["watchdog_trigger"] = 1
         activation = f"{name}_activation"
         enabled = wanted.changes.get(activation, {"enabled": int(fields["length"] > 0)})
         writes.append(

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.case import Case, Limits, ReadRegister
+from ecatspec.generators.bringup import request, way_to
+from ecatspec.generators.case import Case, Limits, ReadRegister, WriteRegister
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from ecatspec.generators.case import Stimulus
     from ecatspec.model.compiled import Model
+
+_RESERVED = ("identification", "reserved", "application")
+"""The fields of AL Control that mean nothing, but for devices that say so."""
 
 
 def register_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -20,3 +25,30 @@ def register_cover(model: Model, _: Limits) -> Iterator[Case]:
             name = f"al/register/{register.name}"
             title = f"{register.name.replace('_', ' ')} read after power-on"
             yield Case(name, title, "al", (ReadRegister(register.name),))
+    for register in model.protocol.registers.values():
+        if register.main is Access.READ and model.views[register.name]:
+            fields = {
+                field.name: (1 << field.high - field.low + 1) - 1 for field in register.fields
+            }
+            name = f"read_only/{register.name}"
+            title = f"{register.name.replace('_', ' ')} written by the MainDevice, without effect"
+            yield _in_preop(model, name, title, (WriteRegister(register.name, fields),))
+    yield from _reserved_bits(model)
+
+
+def _reserved_bits(model: Model) -> Iterator[Case]:
+    """Yield requests with reserved bits of AL Control, which have no effect."""
+    for field in model.protocol.registers["al_control"].fields:
+        if field.name not in _RESERVED:
+            continue
+        every = (1 << field.high - field.low + 1) - 1
+        for name in ("PREOP", "INIT"):
+            asked = request(model.row("al_state", name))
+            odd = WriteRegister(asked.register, {**asked.fields, field.name: every})
+            title = f"{name} requested with reserved bits of AL Control ({field.name})"
+            yield _in_preop(model, f"reserved_bits/{field.name}/{name}", title, (odd,))
+
+
+def _in_preop(model: Model, name: str, title: str, stimuli: tuple[Stimulus, ...]) -> Case:
+    way = way_to(model, "PREOP")
+    return Case(f"al/{name}", title, "al", (*way, *stimuli), "PREOP", len(way))

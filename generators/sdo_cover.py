@@ -6,11 +6,12 @@ from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import WAY_UP, case_in
-from ecatspec.generators.case import Case, Limits, SendFrame, Stimulus
+from ecatspec.generators.case import Case, Limits, SendFrame, Stimulus, WriteUntilTaken
 from ecatspec.generators.transfers import (
     abort,
     download,
     expedited_size,
+    normal_download,
     other_sample,
     read,
     unsized,
@@ -80,6 +81,11 @@ def writing(model: Model, entry: ObjectEntry, requests: Sequence[Stimulus]) -> l
     return [*around, *requests, *around]
 
 
+def searched(entry: ObjectEntry) -> bool:
+    """Tell whether no text says which values an entry takes, and it is expected to take some."""
+    return entry.access is Access.BOTH and entry.low is None and not entry.guarded
+
+
 def state_of(entry: ObjectEntry) -> str:
     """Give the first AL state in which an entry can be written."""
     return entry.states[0] if entry.states else "PREOP"
@@ -114,6 +120,10 @@ def _downloads(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Cas
             case = f"sdo/download_in_{other}/{name}"
             yield case_in(model, case, f"write in {other}", stimuli, state=other)
             break
+    if searched(entry):
+        title = "write values until one is taken"
+        until = [WriteUntilTaken(entry.index, entry.subindex)]
+        yield case_in(model, f"sdo/takes/{name}", title, until, state=state)
     yield from _ranges(model, limits, entry)
 
 
@@ -131,6 +141,13 @@ def _ranges(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]:
         stimuli = writing(model, entry, write(model, entry, value, limits))
         case = f"sdo/range_{word}/{entry_name(entry)}"
         yield case_in(model, case, f"write the value {number}", stimuli, state=state_of(entry))
+        if not entry.low <= number <= entry.high:
+            key = entry.index, entry.subindex
+            parts = normal_download(model, key, value, limits, first=0)
+            case = f"sdo/range_{word}_in_segments/{entry_name(entry)}"
+            title = f"write the value {number} in segments"
+            stimuli = writing(model, entry, parts)
+            yield case_in(model, case, title, stimuli, state=state_of(entry))
 
 
 def missing_indexes(model: Model) -> list[int]:
@@ -176,13 +193,13 @@ def missing_subindexes(model: Model) -> dict[int, list[int]]:
 
 
 def _missing(model: Model) -> Iterator[Case]:
-    for index in dict.fromkeys((*missing_indexes(model), *named_indexes(model))):
-        for kind, stimulus in (
-            ("upload", upload(index, 0)),
-            ("download", download(index, 0, b"\1")),
-        ):
+    named = named_indexes(model)
+    for index in dict.fromkeys((*missing_indexes(model), *named)):
+        # what texts say of an object that the device may have holds for its first entry
+        asked = [upload(index, subindex) for subindex in ((0, 1) if index in named else (0,))]
+        for kind, stimuli in (("upload", asked), ("download", [download(index, 0, b"\1")])):
             name = f"sdo/no_object/{kind}/{index:04X}"
-            yield case_in(model, name, f"{kind} of a missing object", [stimulus])
+            yield case_in(model, name, f"{kind} of a missing object", stimuli)
     for index, subindexes in missing_subindexes(model).items():
         for subindex in subindexes:
             name = f"{index:04X}_{subindex:02X}"

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.generators.boundary_cover import boundary_cover
+from ecatspec.generators.bringup import possible
 from ecatspec.generators.complete_cover import complete_cover
 from ecatspec.generators.configuration_cover import configuration_cover
 from ecatspec.generators.drive_cover import drive_cover
@@ -13,7 +14,9 @@ from ecatspec.generators.event_cover import event_cover
 from ecatspec.generators.example_cover import example_cover
 from ecatspec.generators.family_cover import family_cover
 from ecatspec.generators.information_cover import information_cover
+from ecatspec.generators.initial_cover import initial_cover
 from ecatspec.generators.mailbox_cover import mailbox_cover
+from ecatspec.generators.named_cover import named_cover
 from ecatspec.generators.process_cover import process_cover
 from ecatspec.generators.register_cover import register_cover
 from ecatspec.generators.sdo_cover import sdo_cover
@@ -30,6 +33,7 @@ if TYPE_CHECKING:
 
 GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = MappingProxyType(
     {
+        "initial": initial_cover,
         "registers": register_cover,
         "transitions": transition_cover,
         "process": process_cover,
@@ -39,6 +43,7 @@ GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = Map
         "mailbox": mailbox_cover,
         "examples": example_cover,
         "sdo": sdo_cover,
+        "named": named_cover,
         "transfers": transfer_cover,
         "complete": complete_cover,
         "server": server_cover,
@@ -78,9 +83,10 @@ def all_cases(model: Model, limits: Limits, depth: str = "default") -> Iterator[
             if kind is not None and (what, kind) in seen:
                 continue
             seen.add((what, kind))
-            yield case
+            yield from possible(model, case)
     if depth == "exhaustive":
-        yield from boundary_cover(model, limits)
+        for case in boundary_cover(model, limits):
+            yield from possible(model, case)
 
 
 def _kinds(model: Model) -> dict[str, object]:
@@ -91,7 +97,10 @@ def _kinds(model: Model) -> dict[str, object]:
     kinds: dict[str, object] = {}
     for index, entries in objects.items():
         own = {
-            e.subindex: (e.type, e.access, e.states, e.read_states, e.constant, e.low is None)
+            e.subindex: (
+                *(e.type, e.access, e.states, e.read_states, e.constant),
+                *(e.low is None, e.mappable, e.maps is None),
+            )
             for e in entries
         }
         kinds |= {f"{index:04X}_{subindex:02X}": kind for subindex, kind in own.items()}

@@ -19,6 +19,7 @@ from ecatspec.generators.case import (
     Hurry,
     Probe,
     ReadConfiguration,
+    ReadInitial,
     ReadRegister,
     Repeat,
     SendFrame,
@@ -30,6 +31,7 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
     WriteRegisters,
+    WriteUntilTaken,
 )
 from ecatspec.model.esc import PROCESS_DATA
 
@@ -55,6 +57,8 @@ _HEX: Final = re.compile(r"([0-9a-f]{2})*")
 _LONGEST_WAIT: Final = 3_600_000_000
 """Microseconds of one wait at most: an hour."""
 _SHOWN: Final = 40
+_LAST_INDEX: Final = (1 << 16) - 1
+_LAST_SUBINDEX: Final = (1 << 8) - 1
 
 
 # --- tokens ---------------------------------------------------------------------------------------
@@ -124,6 +128,7 @@ def to_data(case: Case) -> dict[str, Data]:
     data: dict[str, Data] = {"name": case.name, "title": case.title, "layer": case.layer}
     data["stimuli"] = [_data_of(stimulus) for stimulus in case.stimuli]
     given: dict[str, Data] = {"prelude": case.prelude, "flag": case.flag, "feature": case.feature}
+    given["about"] = case.about
     data |= {key: value for key, value in given.items() if value}
     return data if case.needs is None else data | {"needs": case.needs}
 
@@ -152,6 +157,10 @@ def _data_of(stimulus: Stimulus) -> dict[str, Data]:
             return {"do": "repeat"}
         case Probe():
             return {"do": "probe"}
+        case ReadInitial(index, subindex):
+            return {"do": "read_initial", "index": index, "subindex": subindex}
+        case WriteUntilTaken(index, subindex):
+            return {"do": "write_until_taken", "index": index, "subindex": subindex}
         case ReadConfiguration():
             return {"do": "read_configuration"}
         case SetUpProcessData(changes, longer):
@@ -208,6 +217,7 @@ def from_data(data: object) -> Case:
         given.number("prelude", 0, len(stimuli), default=0),
         given.text("flag", default=""),
         given.text("feature", default=""),
+        given.text("about", default=""),
     )
     given.nothing_else()
     return case
@@ -238,6 +248,10 @@ def _stimulus(given: _Given) -> Stimulus:
             made = Repeat()
         case "probe":
             made = Probe()
+        case "read_initial":
+            made = ReadInitial(*_entry_of(given))
+        case "write_until_taken":
+            made = WriteUntilTaken(*_entry_of(given))
         case "read_configuration":
             made = ReadConfiguration()
         case "set_up_process_data":
@@ -259,6 +273,10 @@ def _stimulus(given: _Given) -> Stimulus:
             given.wrong("do", f"is no stimulus: {_short(kind)}")
     given.nothing_else()
     return made
+
+
+def _entry_of(given: _Given) -> tuple[int, int]:
+    return given.number("index", 0, _LAST_INDEX), given.number("subindex", 0, _LAST_SUBINDEX)
 
 
 def _register_write(given: _Given) -> WriteRegister:
@@ -388,6 +406,9 @@ def _missing(stimulus: Stimulus, model: Model) -> Iterator[str]:
         case Happen(event):
             known = {f"{local.machine}.{local.input}" for local in model.locals}
             yield from _absent("local event", (event,), known)
+        case ReadInitial(index, subindex) | WriteUntilTaken(index, subindex):
+            if (index, subindex) not in model.dictionary.entries:
+                yield f"entry 0x{index:04X}:{subindex:02X}"
         case SendSegments() | Repeat() | Probe() | ReadConfiguration():
             pass
         case StopOutputs() | Wait() | Hurry():

@@ -4,9 +4,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import case_in, request
-from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, SendSegments, Stimulus
-from ecatspec.generators.sdo_cover import entry_name, is_written, missing_indexes, state_of, writing
+from ecatspec.generators.bringup import WAY_UP, case_in, request
+from ecatspec.generators.case import (
+    Case,
+    Limits,
+    Repeat,
+    SendFrame,
+    SendSegments,
+    Stimulus,
+    WriteUntilTaken,
+)
+from ecatspec.generators.sdo_cover import (
+    entry_name,
+    is_written,
+    missing_indexes,
+    searched,
+    state_of,
+    writing,
+)
 from ecatspec.generators.transfers import (
     abort,
     download,
@@ -38,6 +53,7 @@ def transfer_cover(model: Model, limits: Limits) -> Iterator[Case]:
     """Yield the cases: sizes of every writable entry, then all that can go wrong in the middle."""
     for entry in model.protocol.objects:
         if is_written(entry):
+            yield from _elsewhere(model, entry)
             yield from _sizes(model, limits, entry)
         else:
             value = pattern(min(size_of(entry), _SOME))
@@ -108,6 +124,17 @@ def _long_entries(model: Model) -> Iterator[ObjectEntry]:
     for entry in model.protocol.objects:
         if entry.access is Access.BOTH and not entry.states and room < size_of(entry) <= _ENOUGH:
             yield entry
+
+
+def _elsewhere(model: Model, entry: ObjectEntry) -> Iterator[Case]:
+    """Yield the search for a value that is taken, in the other AL states that allow a write."""
+    for state in WAY_UP[1:] if searched(entry) else ():
+        if state != state_of(entry) and (not entry.states or state in entry.states):
+            name = f"sdo/takes_in_{state}/{entry_name(entry)}"
+            until = [WriteUntilTaken(entry.index, entry.subindex)]
+            yield case_in(
+                model, name, f"write values until one is taken in {state}", until, state=state
+            )
 
 
 # --- sizes ----------------------------------------------------------------------------------------

@@ -164,6 +164,24 @@ def other_sample(entry: ObjectEntry) -> bytes:
     return bytes(byte ^ 0x55 for byte in sample(entry))
 
 
+def several_values(entry: ObjectEntry) -> tuple[bytes, ...]:
+    """Give values of an entry of which a device that can be written takes one: far apart."""
+    found = [sample(entry), other_sample(entry)]
+    if size_varies(entry):
+        found += [pattern(length) for length in (1, size_of(entry))]
+    else:
+        bits = _BYTE * size_of(entry)
+        numbers = [*range(_SMALL), *(1 << bit for bit in range(bits)), (1 << bits) - 1]
+        numbers += [(1 << bits - 1) - 1, *(10**digits for digits in range(bits // 3))]
+        found += [encode_value(entry, number) for number in numbers if number < 1 << bits]
+    return tuple(dict.fromkeys(found))
+
+
+_BYTE = 8
+_SMALL = 11
+"""Modes and the like have numbers below."""
+
+
 def list_request(kind: int) -> SendFrame:
     """Ask for a list of objects."""
     return SendFrame("information_list_request", {"list_type": kind})

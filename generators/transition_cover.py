@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
+from ecatspec.generators.assignment import first_assigned
 from ecatspec.generators.bringup import has_process_data, mailbox_settings, request
 from ecatspec.generators.case import (
     Case,
@@ -18,11 +19,13 @@ from ecatspec.generators.case import (
     WriteRegister,
 )
 from ecatspec.generators.play import play
-from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.generators.process_data import image_size
+from ecatspec.model.esc import AREAS, BOOTSTRAP, PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.spec.language.scope import AREA_PARTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ecatspec.generators.case import Limits
     from ecatspec.model.compiled import Model
@@ -41,40 +44,48 @@ def symbols(model: Model, *, few: bool = False) -> tuple[Symbol, ...]:
     none = invalid[1:2] if few else (invalid[0], invalid[1], invalid[-1])
     tried = states | {value: f"value_{value}" for value in none}
     process_data = has_process_data(model)
-    set_up = mailbox_settings(model)
-    found: list[Symbol] = [("set_up", (*set_up, SetUpProcessData()) if process_data else set_up)]
+    set_up: tuple[Stimulus, ...] = mailbox_settings(model) if model.has_mailbox else ()
+    if process_data:
+        set_up = (*set_up, SetUpProcessData())
+    found: list[Symbol] = [("set_up", set_up)] if set_up else []
     if process_data:
         found.append(("outputs", (WriteOutputs(),)))
+        if assigning := first_assigned(model):
+            found.append(("assign", (*assigning, SetUpProcessData())))
     for value, name in tried.items():
         found.append((f"request_{name}", (request(value),)))
         found.append((f"acknowledge_{name}", (request(value, acknowledge=True),)))
-    found += [
-        (f"disable_{name}", (WriteRegister(f"{name}_activation", {"enabled": 0}),))
-        for name in SYNC_MANAGERS
-    ]
+    if model.has_mailbox:
+        found += [
+            (f"disable_{name}", (WriteRegister(f"{name}_activation", {"enabled": 0}),))
+            for name in SYNC_MANAGERS
+        ]
     return tuple(found)
 
 
-def wrong_settings(model: Model) -> tuple[Symbol, ...]:
+def wrong_settings(model: Model, areas: Mapping[str, str] = AREAS) -> tuple[Symbol, ...]:
     """Give mailbox settings that deviate in one point."""
     smallest = model.parameter("minimal_mailbox")
     buffered = model.row("sync_manager_mode", "buffered")
     found: list[Symbol] = []
+    other = dict(zip(SYNC_MANAGERS, reversed(SYNC_MANAGERS), strict=True))
+    whole = [[model.parameter(areas[name], p) for p in AREA_PARTS] for name in SYNC_MANAGERS]
+    behind = max(start + length for start, length in whole)
     for name, wrong in zip(SYNC_MANAGERS, ("main_reads", "main_writes"), strict=True):
-        start = model.parameter(
-            {0: "mailbox_out", 1: "mailbox_in"}[SYNC_MANAGERS.index(name)], "start"
-        )
-        direction = model.row("sync_manager_direction", wrong)
-        off = mailbox_settings(model, {f"{name}_activation": {"enabled": 0}})
-        found += [
-            (f"{name}_off", off),
-            (f"{name}_buffered", mailbox_settings(model, {name: {"mode": buffered}})),
-            (f"{name}_reversed", mailbox_settings(model, {name: {"direction": direction}})),
-            (f"{name}_empty", mailbox_settings(model, {name: {"length": 0}})),
-            (f"{name}_too_short", mailbox_settings(model, {name: {"length": smallest - 1}})),
-            (f"{name}_shortest", mailbox_settings(model, {name: {"length": smallest}})),
-            (f"{name}_moved", mailbox_settings(model, {name: {"start": start + smallest * 2}})),
-        ]
+        changes = {
+            f"{name}_off": {f"{name}_activation": {"enabled": 0}},
+            f"{name}_buffered": {name: {"mode": buffered}},
+            f"{name}_reversed": {name: {"direction": model.row("sync_manager_direction", wrong)}},
+            f"{name}_empty": {name: {"length": 0}},
+            f"{name}_too_short": {name: {"length": smallest - 1}},
+            f"{name}_shortest": {name: {"length": smallest}},
+            f"{name}_moved": {name: {"start": behind}},
+            f"{name}_on_{other[name]}": {
+                name: {"start": model.parameter(areas[other[name]], "start")}
+            },
+        }
+        for what, change in changes.items():
+            found.append((what, mailbox_settings(model, change, areas)))
     return tuple(found)
 
 
@@ -94,9 +105,28 @@ def transition_cover(model: Model, _: Limits) -> Iterator[Case]:
     for way in ways.values():
         for symbol in alphabet:
             yield _case(way, symbol)
+    if not model.has_mailbox:
+        return
     preop = request(model.row("al_state", "PREOP"))
     for name, stimuli in wrong_settings(model):
         yield _case(((name, stimuli),), ("request_PREOP", (preop,)))
+    yield from _in_boot(model)
+
+
+def _in_boot(model: Model) -> Iterator[Case]:
+    """Yield what a device with BOOT does there, shortest way first; one without refuses it."""
+    boot = model.row("al_state", "BOOT")
+    enter = ("request_BOOT", (request(boot),))
+    up = (("set_up_for_BOOT", mailbox_settings(model, areas=BOOTSTRAP)), enter)
+    again = ("acknowledge_BOOT", (request(boot, acknowledge=True),))
+    refused = ("request_PREOP", (request(model.row("al_state", "PREOP")),))
+    for name, stimuli in wrong_settings(model, BOOTSTRAP):
+        yield _case(((f"{name}_for_BOOT", stimuli),), enter)
+    for name in SYNC_MANAGERS:
+        off = (f"disable_{name}", (WriteRegister(f"{name}_activation", {"enabled": 0}),))
+        yield _case(up, off)
+        yield _case((*up, off), again)
+        yield _case((*up, refused, off), again)
 
 
 def _case(way: tuple[Symbol, ...], symbol: Symbol) -> Case:
@@ -117,4 +147,5 @@ def _reached(device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]) ->
     slots = [device.state.slots[model.slots[name]] for name in ("al.state", "al.error")]
     fed = device.state.slots[model.slots["process_data.fed"]]
     enabled = tuple(device.esc.register(f"{name}_activation") for name in SYNC_MANAGERS)
-    return (*slots, fed, enabled)
+    sizes = (image_size(model, device.state, name) for name in PROCESS_DATA)
+    return (*slots, fed, enabled, *sizes)

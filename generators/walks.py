@@ -14,6 +14,7 @@ from ecatspec.generators.bringup import (
     WATCHDOG,
     WAY_UP,
     mailbox_settings,
+    needs_mailbox,
     request,
 )
 from ecatspec.generators.case import (
@@ -104,7 +105,8 @@ def walk(model: Model, limits: Limits, raisable: frozenset[str], seed: int, step
     while len(stimuli) < steps:
         for stimulus in walker.move():
             walker.believe(stimulus)
-            stimuli.append(stimulus)
+            if model.has_mailbox or not needs_mailbox(stimulus):
+                stimuli.append(stimulus)
     title = f"random walk of {steps} steps, seed {seed}"
     return Case(f"walk/{seed}_{steps}", title, LAYER, tuple(stimuli[:steps]))
 

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 STATIC: Final = frozenset(
     {
         "declared", "object_exists", "is_plain_variable", "readable", "writable", "range_known",
-        "size_of", "size_varies", "object_code_of", "highest_subindex", "data_type_of",
-        "bit_length_of", "complete_size",
+        "size_of", "size_varies", "size_unsaid", "object_code_of", "highest_subindex",
+        "data_type_of", "bit_length_of", "complete_size", "mappable",
     }
 )  # fmt: skip
 """What depends on the declared objects only."""
@@ -47,8 +47,8 @@ STATIC: Final = frozenset(
 PRESENT: Final = frozenset(
     {
         "number_of", "has_value", "value_of", "image_size", "mapped", "assigned_pdos", "pdo_bits",
-        "repeated", "can_hold", "holds", "present_size", "complete_value", "complete_readable",
-        "complete_writable", "readable_now", "writable_now",
+        "repeated", "can_hold", "holds", "present_size", "counted_size", "complete_value",
+        "complete_readable", "complete_writable", "readable_now", "writable_now",
     }
 )  # fmt: skip
 """What depends on what objects hold, or on the AL state, at the time."""
@@ -156,6 +156,8 @@ class Answers:
                 self._in_states(name, values, world, answer)
             case "size_of":
                 holds(any_of((also("size_varies", 2), compared(">", answer, 0))))
+            case "size_unsaid":
+                holds(_implies(answer, also("size_varies", 2)))
             case "size_allowed":
                 varies, size = also("size_varies", 2), also("size_of", 2)
                 fits = compared("<=", values[2], size)

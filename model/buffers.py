@@ -1,25 +1,32 @@
-"""The only place for the three buffers that a SyncManager keeps for process data.
+"""The only place for the buffers of a SyncManager: one for a mailbox, three for process data.
 
-One side writes, the other reads, neither waits: the writer always finds a free buffer, the reader
-opens the newest complete one. Both address the first area only; accesses to it go to the buffer
+One side writes, the other reads. Both address the first area only; accesses to it go to the buffer
 that is theirs. A buffer opens with its first byte and changes hands with its last byte; between
-the two it can be accessed in pieces.
+the two it can be accessed in pieces. With three buffers neither side waits: the writer always finds
+a free one, the reader opens the newest complete one. With one they take turns: a full buffer cannot
+be written, an empty one cannot be read.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-_BUFFERS = 3
+_PROCESS_DATA = 3
 
 
 @dataclass(frozen=True, slots=True)
-class ProcessChannel:
-    """One SyncManager of process data as set now."""
+class Channel:
+    """One SyncManager as set now."""
 
     start: int
     length: int
     main_writes: bool
+    mailbox: bool = False
+
+    @property
+    def buffers(self) -> int:
+        """Give how many buffers there are."""
+        return 1 if self.mailbox else _PROCESS_DATA
 
     @property
     def end(self) -> int:
@@ -28,26 +35,38 @@ class ProcessChannel:
 
     @property
     def hidden_end(self) -> int:
-        """Give the address behind the third buffer."""
-        return self.start + _BUFFERS * self.length
+        """Give the address behind the last buffer."""
+        return self.start + self.buffers * self.length
 
 
-class ThreeBuffers:
+class Buffers:
     """The buffers of one SyncManager since it was set up."""
 
-    def __init__(self, channel: ProcessChannel, *, off: bool) -> None:
+    def __init__(self, channel: Channel, *, off: bool) -> None:
         """Start with nothing written; `off` is a SyncManager that the device has deactivated."""
         self.channel = channel
+        self.borders = channel.start, channel.end, channel.hidden_end
+        """Where the area begins, where what can be accessed ends, and where all of it ends."""
         self.off = off
         self.written = False
-        """The writer has completed an image that the reader has not begun to read."""
+        """The event of a write: an image is complete, and the reader has not begun to read."""
         self.taken = False
-        """The reader has read an image to its end and the writer has not begun a new one."""
+        """The event of a read: an image was read to its end, and no new one was begun."""
         self.newest: int | None = None
         """The buffer with the newest complete image."""
-        self._images = [bytearray(channel.length) for _ in range(_BUFFERS)]
+        self._images = [bytearray(channel.length) for _ in range(channel.buffers)]
         self._writing: int | None = None
         self._reading: int | None = None
+
+    @property
+    def full(self) -> bool:
+        """Tell whether a mailbox holds a message that was not read to its end."""
+        return self.channel.mailbox and self.newest is not None
+
+    @property
+    def event(self) -> bool:
+        """Tell whether the device has not taken notice of what the MainDevice did last."""
+        return self.written if self.channel.main_writes else self.taken
 
     @property
     def write_open(self) -> bool:
@@ -59,20 +78,15 @@ class ThreeBuffers:
         """Tell whether the reader is in the middle of an image."""
         return self._reading is not None
 
-    @property
-    def image(self) -> bytes | None:
-        """Give the newest complete image."""
-        return None if self.newest is None else bytes(self._images[self.newest])
-
     def write(self, offset: int, data: bytes) -> bool:
-        """Write a piece; False where it is refused, since it does not begin where it must."""
-        if self.off:
+        """Write a piece; False where it is refused: nothing is free, or it begins wrongly."""
+        if self.off or self.full:
             return False
         if self._writing is None:
             if offset:
                 return False
             used = (self.newest, self._reading)
-            self._writing = next(n for n in range(_BUFFERS) if n not in used)
+            self._writing = next(n for n in range(self.channel.buffers) if n not in used)
         self.taken = self.taken and bool(offset)
         self._images[self._writing][offset : offset + len(data)] = data
         if offset + len(data) == self.channel.length:
@@ -81,7 +95,7 @@ class ThreeBuffers:
         return True
 
     def read(self, offset: int, length: int) -> bytes | None:
-        """Read a piece; None where it is refused, since there is nothing or it begins wrongly."""
+        """Read a piece; None where it is refused: there is nothing, or it begins wrongly."""
         if self.off:
             return None
         if not offset:
@@ -93,6 +107,8 @@ class ThreeBuffers:
         if offset + length == self.channel.length:
             self._reading = None
             self.taken = True
+            if self.channel.mailbox:
+                self.newest = None
         return data
 
     def begun(self, offset: int, length: int) -> bytes:

@@ -182,6 +182,8 @@ class Foundations:
         yield from layout.clauses
         for bits in layout.fields:
             yield from bits.clauses
+            if bits.shows is not None and bits.shows.advised is not None:
+                yield from bits.shows.advised.clauses
         yield from self._of_nodes(nodes_in(layout))
 
     def _of_frame(self, name: str) -> Iterator[str]:

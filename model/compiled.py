@@ -150,6 +150,8 @@ class View:
     condition: Getter | None
     holder: Holder
     """What tells the slot whose value the field is."""
+    advised: Getter | None
+    """What the field should be beside what it must."""
 
     def present(self, environment: Environment) -> Value:
         """Give what the field reads as, unknown where nothing is said."""
@@ -262,6 +264,12 @@ class Model:
             for i in machine.inputs
             if i.kind == kind
         )
+
+    @cached_property
+    def has_mailbox(self) -> bool:
+        """Tell whether the device may have a mailbox; else its text says that it has none."""
+        support = self.protocol.pins.get("mailbox_support")
+        return support is None or support.alternative != "absent"
 
     def sets_up(self, index: int) -> bool:
         """Tell whether an object has a say in what process data hold."""
@@ -595,7 +603,7 @@ class Model:
         for field in register.fields:
             if field.shows is None:
                 continue
-            condition = field.shows.condition
+            condition, advised = field.shows.condition, field.shows.advised
             views.append(
                 View(
                     field.name,
@@ -606,6 +614,9 @@ class Model:
                     self.expression(field.shows.value, Scope(), field.type),
                     None if condition is None else self.expression(condition, Scope(), None),
                     self._holder(field.shows.value),
+                    None
+                    if advised is None
+                    else self.expression(advised.value, Scope(), field.type),
                 )
             )
         return tuple(views)

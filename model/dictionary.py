@@ -14,11 +14,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ecatspec.model.values import ObjectKey
-    from ecatspec.spec.language.ir import Protocol, Type
+    from ecatspec.spec.language.ir import Protocol
 
 AlState: TypeAlias = Callable[[Environment], Value]
 _Test: TypeAlias = Callable[[ObjectEntry, Environment, tuple[Value, ...]], Value]
 _BYTE = 8
+_HIGHEST = (1 << _BYTE) - 1
+"""The highest subindex that can be."""
+_OWN_TYPE = "own_type"
+"""The row from which on devices number types of their own."""
+_ENTRY = "pdo_entry"
 
 
 class ObjectDictionary:
@@ -38,8 +43,13 @@ class ObjectDictionary:
         self._al_state = al_state
         self._states = {row.name: row.value for row in protocol.tables["al_state"].rows}
         self._types = _rows(protocol, "data_type")
+        self._last_type = (1 << protocol.tables["data_type"].width) - 1
         self._codes = _rows(protocol, "object_code")
         self._lists = _rows(protocol, "object_list_type")
+        layout = () if _ENTRY not in protocol.words else protocol.words[_ENTRY].fields
+        counts = (f for f in layout if f.name == "bit_length")
+        self._bits = next(((f.low, f.high - f.low + 1) for f in counts), None)
+        """Where a mapping entry has its number of bits: the lowest of them, and how many."""
         self.shown: dict[ObjectKey, Callable[[Environment], Value]] = {}
         """What objects read as whose bits the texts show."""
         self._highest: dict[int, int] = {}
@@ -64,6 +74,7 @@ class ObjectDictionary:
             "range_known": self._of_entry(lambda e, _, __: e.low is not None),
             "size_of": self._of_entry(lambda e, _, __: size_of(e)),
             "size_varies": self._of_entry(lambda e, _, __: size_varies(e)),
+            "size_unsaid": self._of_entry(lambda e, _, __: size_varies(e) and not e.varying),
             "size_allowed": self._of_entry(lambda e, _, a: _size_allowed(e, a[2])),
             "present_size": self._of_entry(self._present_size),
             "value_of": self._of_entry(self._value_of),
@@ -75,6 +86,7 @@ class ObjectDictionary:
             "complete_size": _of_known(
                 lambda _, a: self._complete_size(_number(a[0]), _number(a[1]))
             ),
+            "counted_size": _of_known(self._counted_size),
             "complete_value": _of_known(self._complete_value),
             "complete_in_range": _of_known(lambda _, a: self._complete_in_range(*a)),
             "complete_readable": _of_known(self._complete_readable),
@@ -82,9 +94,12 @@ class ObjectDictionary:
             "object_list": _of_known(lambda _, a: self._object_list(_number(a[0]))),
             "object_code_of": _of_known(lambda _, a: self._object_code(_number(a[0]))),
             "highest_subindex": _of_known(
-                lambda _, a: self._told(self._highest.get(_number(a[0]), 0))
+                lambda _, a: self._highest_told(self._highest.get(_number(a[0]), 0))
             ),
-            "data_type_of": self._of_entry(lambda e, _, __: self._told(self._types[type_name(e)])),
+            "mappable": self._of_entry(
+                lambda e, _, __: e.mappable if e.mappable or self._exact else UNKNOWN
+            ),
+            "data_type_of": self._of_entry(lambda e, _, __: self._data_type(e)),
             "bit_length_of": self._of_entry(lambda e, _, __: self._bit_length(e)),
         }
 
@@ -103,9 +118,9 @@ class ObjectDictionary:
 
         return _of_known(function)
 
-    def _told(self, value: int) -> Value:
-        """What a device tells of an object; one with objects of its own may know better."""
-        return value if self._exact or self.closed else UNKNOWN
+    def _highest_told(self, value: int) -> Value:
+        """What a device tells; one with entries of its own may have a higher one."""
+        return value if self._exact or self.closed else Pattern(((value, _HIGHEST),))
 
     # --- access -----------------------------------------------------------------------------------
 
@@ -146,10 +161,23 @@ class ObjectDictionary:
         least = 0 if size_varies(entry) else most
         if known is None:
             into = None if entry.volatile else (entry.index, entry.subindex)
-            return Pattern(into=into, lengths=(least, most))
+            content, mask = self._mapping(entry)
+            return Pattern(into=into, lengths=(least, most), content=content, mask=mask)
         if self._exact or not size_varies(entry):
             return known
-        return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"))
+        # behind a byte string that was written lie zeros, or what was there before
+        open_end = isinstance(entry.type, Bytes) and _writable(entry)
+        mask = (b"\xff" * len(known)).ljust(most, b"\0") if open_end else None
+        return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"), mask=mask)
+
+    def _mapping(self, entry: ObjectEntry) -> tuple[bytes | None, bytes | None]:
+        """Give the bytes, and which bits of them are sure, of an entry that maps so many bits."""
+        if entry.maps is None or entry.access is not Access.READ or self._bits is None:
+            return None, None
+        low, width = self._bits
+        size = size_of(entry)
+        mask = (1 << width) - 1 << low
+        return (entry.maps << low).to_bytes(size, "little"), mask.to_bytes(size, "little")
 
     def known(self, environment: Environment, key: ObjectKey) -> bytes | None:
         """Give the present value of an entry as bytes; None where it is not known."""
@@ -187,7 +215,7 @@ class ObjectDictionary:
     def _complete_known(self, index: int) -> bool:
         """Tell whether the layout follows from the texts: no gaps, nothing smaller than a byte."""
         entries = [entry for entry, _ in self._layout(index, 0)]
-        whole = all(not isinstance(entry.type, Bool) for entry in entries)
+        whole = all(_whole(entry) for entry in entries)
         return whole and (self.closed or self._exact) and self._gapless(index)
 
     def _gapless(self, index: int) -> bool:
@@ -198,13 +226,23 @@ class ObjectDictionary:
             return UNKNOWN
         return sum(size for _, size in self._layout(index, first))
 
+    def _counted_size(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
+        index, first = _number(arguments[0]), _number(arguments[1])
+        counter = self.entries.get((index, 0))
+        if counter is None or not (self._exact or self._complete_known(index)):
+            return UNKNOWN
+        count = self._number_of(counter, environment, ())
+        if not isinstance(count, int):
+            return UNKNOWN
+        return sum(size for entry, size in self._layout(index, first) if entry.subindex <= count)
+
     def _complete_value(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
         index, first = _number(arguments[0]), _number(arguments[1])
         if not (self._exact or self._complete_known(index)):
             return Pattern(lengths=(0, LONGEST))
         content, mask = b"", b""
         for entry, size in self._layout(index, first):
-            known = None
+            known = bytes(size) if entry.access is Access.WRITE else None
             if self._readable(entry, self._al_state(environment)) is True:
                 value = self._value_of(entry, environment, ())
                 known = value if isinstance(value, bytes) else None
@@ -247,6 +285,20 @@ class ObjectDictionary:
                     held = held.rstrip(b"\0")
                 yield (entry.index, entry.subindex), held
 
+    def written_from(
+        self, index: int, first: int, length: int | None = None
+    ) -> Iterator[ObjectKey]:
+        """Yield what a complete download from subindex `first` on can write, if only in part.
+
+        `length` is the most that it brings in bytes; None: as much as the object takes.
+        """
+        bounded = length if self._exact or self._complete_known(index) else None
+        offset = 0
+        for entry, size in self._layout(index, first):
+            if _writable(entry) and not (bounded is not None and offset >= bounded):
+                yield entry.index, entry.subindex
+            offset += size
+
     def _complete_in_range(self, index: Value, first: Value, data: Value) -> Value:
         if not isinstance(data, bytes):
             return UNKNOWN
@@ -271,19 +323,41 @@ class ObjectDictionary:
         return Pattern(lengths=(0, LONGEST))
 
     def _object_code(self, index: int) -> Value:
-        if not self._highest.get(index):
-            return self._told(self._codes["variable"])
+        if self._highest.get(index):
+            if self._exact:
+                return self._codes["record"]
+            return Pattern(((self._codes["array"], self._codes["record"]),))
+        variable, block = self._codes["variable"], self._codes.get("domain")
         if self._exact:
-            return self._codes["record"]
-        return Pattern(((self._codes["array"], self._codes["record"]),))
+            return variable
+        entry = self.entries.get((index, 0))
+        if not self.closed or entry is None:
+            return UNKNOWN  # there may be other entries
+        if isinstance(entry.type, Bytes) and block is not None:
+            return Pattern(((variable, variable), (block, block)))
+        return variable
+
+    def _data_type(self, entry: ObjectEntry) -> Value:
+        """Give the number of the type; the same bits may have one of several names."""
+        known = [self._types[name] for name in type_names(entry) if name in self._types]
+        own = self._types.get(_OWN_TYPE)
+        if self._exact:
+            return known[0] if known else own or 0
+        ranges = tuple((number, number) for number in known)
+        return Pattern(ranges if own is None else (*ranges, (own, self._last_type)))
 
     def _bit_length(self, entry: ObjectEntry) -> Value:
         if size_varies(entry) and not self._exact:
             return UNKNOWN
-        width = entry.type.width if isinstance(entry.type, UInt | SInt) else None
-        if isinstance(entry.type, Bool):
-            width = 1
-        return self._told(_BYTE * size_of(entry) % (1 << 16) if width is None else width)
+        match entry.type:
+            case UInt(width=width) | SInt(width=width):
+                return width
+            case Bool() if not self._exact:
+                return Pattern(((1, 1), (_BYTE, _BYTE)))  # a truth may have a byte of its own
+            case Bool():
+                return 1
+            case _:
+                return _BYTE * size_of(entry) % (1 << 16)
 
 
 CROWDED = "request in work"
@@ -330,29 +404,46 @@ def size_of(entry: ObjectEntry) -> int:
 
 def size_varies(entry: ObjectEntry) -> bool:
     """Tell whether the entry may hold fewer bytes than its maximum."""
-    return isinstance(entry.type, Text | Bytes)
+    return isinstance(entry.type, Text | Bytes) and not entry.fixed
 
 
-def type_name(entry: ObjectEntry) -> str:
-    """Give the row of the table of data types that an entry has."""
-    names: dict[type[Type], str] = {
-        Bool: "boolean",
-        Text: "visible_string",
-        Bytes: "octet_string",
-    }
+def type_names(entry: ObjectEntry) -> tuple[str, ...]:
+    """Give the rows of the table of data types that an entry may have, the usual one first."""
     match entry.type:
+        case Bool():
+            return "boolean", "bit1"
+        case Text():
+            return "visible_string", "unicode_string"
+        case Bytes():
+            return "octet_string", *_BLOCKS
         case UInt(width=width):
-            return f"unsigned{width}"
+            alike = (f"bit{width}", f"bit_array{width}", _OF_BITS.get(width, ""), f"real{width}")
+            return f"unsigned{width}", *alike
         case SInt(width=width):
-            return f"integer{width}"
+            return f"integer{width}", f"real{width}"
         case _:
-            return names[type(entry.type)]
+            raise TypeError(f"{entry.at}: {entry.type} is no type of an object")
+
+
+_OF_BITS = {8: "byte_type", 16: "word_type", 32: "double_word_type"}
+"""Types that are bits rather than numbers."""
+_BLOCKS = (
+    *("unicode_string", "domain_type", "time_of_day", "time_difference"),
+    *("array_of_int", "array_of_sint", "array_of_dint", "array_of_udint"),
+)
+"""Types for which the texts have no other word than bytes."""
+
+
+def _whole(entry: ObjectEntry) -> bool:
+    """Tell whether an entry has whole bytes."""
+    kind = entry.type
+    return not isinstance(kind, Bool) and not (isinstance(kind, UInt | SInt) and kind.width % _BYTE)
 
 
 def encode_value(entry: ObjectEntry, value: int | str) -> bytes:
     """Give the bytes of a value of this entry as they travel."""
     if isinstance(value, str):
-        return value.encode("latin-1")
+        return value.encode("latin-1").ljust(size_of(entry) if entry.fixed else 0, b"\0")
     if size_varies(entry):
         return b""
     size = size_of(entry)

@@ -334,6 +334,11 @@ def _entry(model: Model, entry: ObjectEntry, section: Section) -> Iterator[Fact]
         )
     if entry.mappable:
         yield Fact(section, f"{subject} mapping", "can be mapped", *base, Kind.MORE, subject)
+    if entry.stored:
+        yield Fact(section, f"{subject} storage", "kept over power-off", *base, Kind.NOTE, subject)
+    if entry.guarded:
+        value = "values that only the device knows"
+        yield Fact(section, f"{subject} takes", value, *base, Kind.NOTE, subject)
 
 
 def _default(model: Model, entry: ObjectEntry) -> str:

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import expected_fields, later_fields
+from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS
 from ecatspec.model.shown import layout
 from ecatspec.model.values import Pattern, Value, concrete, is_any
+from ecatspec.spec.language.ir import Bytes, Literal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -83,6 +85,11 @@ def message_forms(
     The field `unseen` is not looked at: it has one value.
     """
     fields = expected_fields(model, state, output)
+    fields |= {
+        name: Pattern(lengths=(length, length))
+        for name, length in _lengths(model, output.frame).items()
+        if name in fields and is_any(fields[name])
+    }
     fields[unseen] = _chosen(fields[unseen], observed.get(unseen))
     undecided = _undecided(model, state, output, unseen)
     for some in _combined(fields):
@@ -104,6 +111,17 @@ def message_forms(
         for way in model.protocol.choices[choice].alternatives:
             there = state.having(slot, way.name)
             yield from message_forms(model, there, output, observed, unseen)
+
+
+@once
+def _lengths(model: Model, frame: str) -> dict[str, int]:
+    """Give the byte strings of a layout that have one length, in bytes."""
+    return {
+        field.name: field.type.length.value
+        for name in model.codec.trail(frame)
+        for field in model.protocol.frames[name].fields
+        if isinstance(field.type, Bytes) and isinstance(field.type.length, Literal)
+    }
 
 
 def _undecided(model: Model, state: State, output: Output, unseen: str) -> set[str]:

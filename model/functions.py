@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from ecatspec.model.values import UNKNOWN, Pattern, Value
@@ -59,6 +60,15 @@ def _bit(number: Value, place: Value) -> Value:
     return UNKNOWN
 
 
+def _numbered(data: Value, least: Value, most: Value, other: Value) -> Value:
+    if not isinstance(data, Pattern):
+        return data  # what is known is that
+    if not isinstance(least, int) or not isinstance(most, int) or not isinstance(other, int):
+        return data
+    more = () if least <= other <= most else ((other, other),)
+    return replace(data, ranges=((least, most), *more), lengths=data.lengths or (0, LONGEST))
+
+
 PLAIN: dict[str, Function] = {
     "length": lambda _, a: len(a[0]) if isinstance(a[0], bytes) else UNKNOWN,
     "join": lambda _, a: _join(a[0], a[1]),
@@ -69,6 +79,7 @@ PLAIN: dict[str, Function] = {
     "number": lambda _, a: int.from_bytes(a[0], "little") if isinstance(a[0], bytes) else UNKNOWN,
     "bit": lambda _, a: _bit(a[0], a[1]),
     "microseconds": lambda _, a: a[0],
+    "numbered": lambda _, a: _numbered(*a),
     "lesser": lambda _, a: _lesser(a[0], a[1]),
 }
 """The functions of byte strings and numbers, which need no object dictionary."""

@@ -183,12 +183,16 @@ def _stored(
     index, subindex = place
     if not isinstance(index, int) or not isinstance(subindex, int):
         return state, []
+    if model.assuming and isinstance(content, Pattern):
+        return state, []  # where anything may be stored a device keeps what it has
     if not complete:
         parts: list[tuple[ObjectKey, Value]] = [((index, subindex), content)]
     elif isinstance(content, bytes):
         parts = list(model.dictionary.split(environment, index, subindex, content))
     else:
-        parts = [(key, UNKNOWN) for key in model.dictionary.entries if key[0] == index]
+        lengths = content.lengths if isinstance(content, Pattern) else None
+        most = None if lengths is None else lengths[1]
+        parts = [(key, UNKNOWN) for key in model.dictionary.written_from(index, subindex, most)]
     events: list[Event] = []
     for key, part in parts:
         state = state.keeping(key, part) if isinstance(part, bytes) else state.forgetting(key)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.model.esc import BOOTSTRAP
 from ecatspec.model.obligations import Finding, Obligation, Status
 from ecatspec.model.words import typed_words
 from ecatspec.spec.language.ir import Area, Bool, Bytes, Literal
@@ -143,6 +144,8 @@ def memory(model: Model, obligation: Obligation) -> Finding:
             lines.append(f"{_area(name, start, length)} ends beyond the memory of {size} bytes")
             places.append(protocol.parameters[name].at)
     for one, other in itertools.combinations(areas, 2):
+        if (one in BOOTSTRAP.values()) != (other in BOOTSTRAP.values()):
+            continue  # they are not there at the same time
         (first, much), (second, more) = areas[one], areas[other]
         if first < second + more and second < first + much:
             lines.append(f"{_area(one, first, much)} and {_area(other, second, more)} overlap")

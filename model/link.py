@@ -32,7 +32,6 @@ _WATCHDOG: Final = ("process_data", "expired")
 _WATCHDOG_SETTINGS: Final = (PROCESS_DATA[0], "watchdog_process_data")
 _BYTE_MASK: Final = 0xFF
 _EEPROM: Final = "eeprom_"
-_LINK_PORTS: Final = 2
 _MANAGERS: Final = (*SYNC_MANAGERS, *PROCESS_DATA)
 
 
@@ -107,13 +106,11 @@ class LinkedSubDevice:
         self._started = self.now
         self._al_status = self._content("al_status")
         self._load()
-        ports = self._content("dl_status")
-        for port in range(_LINK_PORTS * 2):
-            linked_here = port == 0 or (port == 1 and self._follower)
-            state = self._model.row("loop_state", "open" if linked_here else "closed")
-            ports |= self._mask("dl_status", f"link_port_{port}") * linked_here
-            ports |= self._placed("dl_status", f"loop_port_{port}", state)
-        self._put("dl_status", ports)
+        if self._follower:
+            ports = self._content("dl_status") & ~self._mask("dl_status", "loop_port_1")
+            state = self._model.row("loop_state", "open")
+            ports |= self._placed("dl_status", "loop_port_1", state)
+            self._put("dl_status", ports | self._mask("dl_status", "link_port_1"))
 
     @property
     def al_state(self) -> str:

@@ -415,6 +415,8 @@ class Meaning:
                 return cut
             case "piece", (_, _, _, most):
                 return self._piece(most, place)
+            case "numbered", (data, _, _, _):
+                return data
             case "word", _:
                 return Content(2, place)
             case "lesser", (one, other):

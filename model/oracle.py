@@ -18,6 +18,7 @@ from ecatspec.model.candidates import (
     Pending,
     with_alarms,
 )
+from ecatspec.model.citations import object_name
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
@@ -34,8 +35,17 @@ from ecatspec.model.interpreter import (
     step,
 )
 from ecatspec.model.once import once
-from ecatspec.model.serving import Grown, grown, is_alive, is_idle, served
+from ecatspec.model.serving import (
+    Grown,
+    grown,
+    is_alive,
+    is_idle,
+    is_shut,
+    may_hold_anything,
+    served,
+)
 from ecatspec.model.shown import (
+    advised,
     decided,
     definitely,
     enabled,
@@ -51,13 +61,19 @@ from ecatspec.model.shown import (
 )
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.unknowns import any_states, is_open
-from ecatspec.model.values import UNKNOWN, Value, admits, is_any
-from ecatspec.model.words import fields_words, message_words, reason_words, register_words
+from ecatspec.model.values import UNKNOWN, Value, admits, bits_of, is_any
+from ecatspec.model.words import (
+    bytes_words,
+    fields_words,
+    message_words,
+    reason_words,
+    register_words,
+)
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping
     from collections.abc import Set as AbstractSet
 
     from ecatspec.model.codec import Message
@@ -65,13 +81,19 @@ if TYPE_CHECKING:
     from ecatspec.model.serving import Explanations
     from ecatspec.model.state import Step
     from ecatspec.model.values import ObjectKey
-    from ecatspec.spec.language.ir import Register, Word
+    from ecatspec.spec.language.ir import ObjectEntry, Register, Word
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
 MANAGERS = (*SYNC_MANAGERS, *PROCESS_DATA)
 _ROUNDS = 16
 """So many things in a row are awaited at most, each of which begins with the one before."""
+_LOOKS = 1024
+"""So many looks that told nothing are remembered: inputs may be others in each cycle."""
+_OWN_REASON = RuleName("sdo", "value_refused")
+"""The rule by which a device refuses a value for a reason of its own."""
+_REASONS = "told_reason"
+"""The table of the abort codes that say of themselves why a value is refused."""
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
 
@@ -88,6 +110,8 @@ class Oracle:
     """Local events (`machine.input`) that befall the device only when they are raised."""
     lost: bool = False
     """Whether there was too much to follow since power-on: next to nothing is known."""
+    advice: dict[str, Mismatch] = field(default_factory=dict)
+    """What should have been otherwise since power-on, by signature; the device goes on."""
     _outputs: tuple[Event, ...] = ()
     _suspicion: Mismatch | None = None
     """The first observation since a request that only an accident explains."""
@@ -115,6 +139,7 @@ class Oracle:
             state = state.having(self.model.slots[f"choice {name}"], alternative)
         self.candidates = {Candidate(state): ()}
         self.lost = False
+        self.advice = {}
         self._suspicion = None
         self.written = 0
 
@@ -142,7 +167,7 @@ class Oracle:
             return None
         mismatch = self._read(exchange)
         if self._grown is not None and self._grown.found is self.candidates and mismatch is None:
-            if self._idle_of is not self.candidates:
+            if self._idle_of is not self.candidates or len(self._idle) >= _LOOKS:
                 self._idle, self._idle_of = set(), self.candidates
             # only how long a reply may take depends on the time of a look
             if not any(candidate.outbox for candidate in self.candidates):
@@ -163,36 +188,50 @@ class Oracle:
         expected, observed = f"{name}: a value", f"{name}: working counter 0"
         return self._mismatch(exchange, name, (expected,), observed, (), register.clauses)
 
-    def settled(self, time: int, *, unread: bool = False) -> bool:
-        """Tell whether every candidate has served its inputs, or had to by `time`.
+    def to_come(self, time: int, *, unread: bool = False) -> tuple[int, ...]:
+        """Give by when, none of it before `time`, each thing must have come that may still come.
 
+        What should have come before and was not missed when it was looked for cannot come any more.
         With `unread` replies may lie in the mailbox, and requests behind them.
         """
+        found: list[int] = []
         for candidate in self.expanded(time):
             if candidate.outbox and not unread:
-                return False
+                found.append(candidate.ready)
             due = self._due(candidate, time)
-            if any(not (candidate.outbox and pending.event.trail) for pending in due):
-                return False
-        return True
+            behind = bool(candidate.outbox) and unread
+            found += [p.deadline for p in due if not (behind and p.event.trail)]
+        return tuple(deadline for deadline in found if deadline >= time)
 
-    def deadline(self, time: int) -> int | None:
-        """Give the next time by which something that may be to come at `time` must have come."""
-        deadlines = [p.deadline for c in self.candidates for p in self._due(c, time)]
-        deadlines += [candidate.ready for candidate in self.candidates if candidate.outbox]
-        return min((deadline for deadline in deadlines if deadline >= time), default=None)
+    def settled(self, time: int, *, unread: bool = False) -> bool:
+        """Tell whether nothing is to come at `time`."""
+        return not self.to_come(time, unread=unread)
 
     def busy_until(self, time: int) -> int:
         """Give the time by which all is done that a device may be busy with; `time`: nothing is."""
         for _ in range(_ROUNDS):
-            found = self.expanded(time)
-            deadlines = [p.deadline for candidate in found for p in self._due(candidate, time)]
-            deadlines += [candidate.ready for candidate in found if candidate.outbox]
-            last = max(deadlines, default=-1)
-            if last < time:
+            deadlines = self.to_come(time)
+            if not deadlines:
                 break
-            time = last + 1
+            time = max(deadlines) + 1
         return time
+
+    def unseen(self, time: int) -> bool:
+        """Tell whether a reply must lie in the mailbox since before `time`, and no look missed it.
+
+        So it is where the mailbox cannot be looked at.
+        """
+        return all(
+            candidate.outbox and candidate.ready < time and self._judges_mail(candidate)
+            for candidate in self.expanded(time)
+        )
+
+    def judges_mail(self) -> bool:
+        """Tell whether a message is judged: some explanation says what may come."""
+        return any(map(self._judges_mail, self.candidates))
+
+    def _judges_mail(self, candidate: Candidate) -> bool:
+        return not candidate.loose and self._alive(candidate.state)
 
     def open_until(self, time: int) -> int:
         """Give the time by which the AL has done what the texts leave open; `time`: nothing is."""
@@ -566,14 +605,14 @@ class Oracle:
         mismatch = self.judge(exchange)
         if mismatch is None:
             return None
-        kept = self.candidates
+        kept, lost = self.candidates, self.lost
         for _ in range(_SURPRISES):
             self.candidates = self.befallen(exchange.time)
             if self.judge(exchange) is None:
                 if self.surprises():
                     self._suspicion = self._suspicion or mismatch
                 return None
-        self.candidates = kept
+        self.candidates, self.lost = kept, lost
         # what was taken for an accident at first was the deviation
         return self._suspicion if self._suspicion and self.surprises() else mismatch
 
@@ -623,6 +662,7 @@ class Oracle:
                 after.setdefault(candidate.having(state), history)
         if after:
             self.candidates = _kept(before, after)
+            self._advise(register, raw, exchange)
             return None
         allowed = [shown_register(self.model, register, candidate.state) for candidate in before]
         expected = {register_words(self.model, register.name, each): None for each in allowed}
@@ -632,14 +672,75 @@ class Oracle:
         observed = register_words(self.model, register.name, fields)
         rules = _last(before, machines_of(self.model, register.name))
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
-        found = self._mismatch(
-            exchange, register.name, tuple(expected), observed, rules, register.clauses
+        differs = _fewest(_differing(each, fields) for each in allowed)
+        clauses = _clauses_of(register, differs)
+        found = self._mismatch(exchange, register.name, tuple(expected), observed, rules, clauses)
+        return replace(found, reasons=self._reasons(refused) if refused else (), differing=differs)
+
+    def _advise(self, register: Register, raw: int, exchange: Exchange) -> None:
+        """Note fields that are not what they should be, whichever explanation holds."""
+        found: list[set[str]] = []
+        for candidate in self.candidates:
+            shown = advised(self.model, register.name, candidate.state)
+            odd = {
+                view.name
+                for view, value in shown
+                if not admits(value, bits_of(raw, view.low, view.low + view.width - 1))
+            }
+            if not odd:
+                return
+            found.append(odd)
+        for name in sorted(set.intersection(*found)):
+            bits = next(item for item in register.fields if item.name == name)
+            assert bits.shows is not None
+            assert bits.shows.advised is not None
+            expected = {
+                register_words(self.model, register.name, {name: value}): None
+                for candidate in self.candidates
+                for view, value in advised(self.model, register.name, candidate.state)
+                if view.name == name
+            }
+            shown_ = {name: field_of(self.model.protocol, register.name, name, raw)}
+            observed = register_words(self.model, register.name, shown_)
+            self._note(
+                exchange, register.name, tuple(expected), observed, bits.shows.advised.clauses
+            )
+
+    def advise_default(
+        self, exchange: Exchange, entry: ObjectEntry, default: bytes, held: bytes
+    ) -> None:
+        """Note that an entry does not hold its default, where the texts expect that it does."""
+        if all(self._demanded(candidate, "defaults_expected") for candidate in self.candidates):
+            clauses = self.model.protocol.definitions["defaults_expected"].clauses
+            subject = object_name((entry.index, entry.subindex))
+            expected = (f"{subject} {entry.name}: {bytes_words(default)}",)
+            self._note(exchange, "default", expected, bytes_words(held), clauses)
+
+    def unreasoned(self, abort: Message) -> bool:
+        """Tell whether an abort refused a value, and neither a text nor its code says why."""
+        told = {row.value for row in self.model.protocol.tables[_REASONS].rows}
+        return _last(self.candidates, {_OWN_REASON.machine}) == (_OWN_REASON,) and (
+            abort.fields["code"] not in told
         )
-        return replace(
-            found,
-            reasons=self._reasons(refused) if refused else (),
-            differing=_fewest(_differing(each, fields) for each in allowed),
-        )
+
+    def takes_nothing(self, exchange: Exchange, entry: ObjectEntry, count: int) -> Mismatch:
+        """Give the mismatch of an entry that can be written and refuses every value."""
+        rows = self.model.protocol.tables[_REASONS].rows
+        clauses = dict.fromkeys(clause for row in rows for clause in row.clauses)
+        expected = (f"{entry.name} takes what it holds, or another value",)
+        observed = f"refused: each of {count} values"
+        return self._mismatch(exchange, "writes", expected, observed, (), tuple(clauses))
+
+    def _note(
+        self,
+        exchange: Exchange,
+        subject: str,
+        expected: tuple[str, ...],
+        observed: str,
+        clauses: tuple[str, ...],
+    ) -> None:
+        found = self._mismatch(exchange, subject, expected, observed, (), clauses)
+        self.advice.setdefault(found.signature, found)
 
     def _read_inputs(self, exchange: Exchange) -> Mismatch | None:
         if not self._concerned(DATA_IN, exchange):
@@ -663,6 +764,9 @@ class Oracle:
                 (wrong if demanded else after)[candidate] = history
         if after:
             self.candidates = _kept(before, after)
+            if exchange.working_counter and all(self._demanded(c, "inputs_denied") for c in after):
+                clauses = self.model.protocol.definitions["inputs_denied"].clauses
+                self._note(exchange, "inputs", ("no inputs: working counter 0",), "inputs", clauses)
             return None
         if not exchange.working_counter:
             rules = _last(wrong, {"process_data", "al"})
@@ -680,15 +784,11 @@ class Oracle:
             for name, said in words_in(self.model, self.example(), exchange.data)
             if name in words
         )
-        clauses = tuple(clause for word in words.values() for clause in word.clauses)
         rules = _last(
             wrong, {machine for name in words for machine in machines_of(self.model, name)}
         )
-        found = self._mismatch(
-            exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
-        )
         shown = dict(fields_in(self.model, self.example(), exchange.data))
-        differs = (
+        differs = _fewest(
             tuple(
                 field
                 for name in words
@@ -696,19 +796,23 @@ class Oracle:
             )
             for each in wrong
         )
-        return replace(found, differing=_fewest(differs))
+        clauses = tuple(clause for word in words.values() for clause in _clauses_of(word, differs))
+        found = self._mismatch(
+            exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
+        )
+        return replace(found, differing=differs)
 
     def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
         before = self.expanded(exchange.time)
+        own = bool(self.model.own)
         after = {
             self._owing(candidate, exchange.time, full=full): history
             for candidate, history in before.items()
             if not (full and self._absent(candidate.state))
             and (
-                candidate.loose
-                or not self._alive(candidate.state)
-                or (full and bool(candidate.outbox or self.model.own))
+                may_hold_anything(self.model, candidate)
+                or (full and bool(candidate.outbox or (own and not self._shut(candidate))))
                 or (not full and (not candidate.outbox or exchange.time <= candidate.ready))
             )
         }
@@ -728,7 +832,11 @@ class Oracle:
 
     def _owing(self, candidate: Candidate, time: int, *, full: bool) -> Candidate:
         """Give the explanation without what did not come, and did not have to."""
-        gone = not full and candidate.loose and candidate.outbox and time > candidate.ready
+        if full or not candidate.loose:
+            return candidate
+        if candidate.loose is Loose.ONE and self._shut(candidate):
+            return replace(candidate, loose=Loose.NONE)
+        gone = candidate.outbox and time > candidate.ready
         return replace(candidate, outbox=()) if gone else candidate
 
     def _read_empty(self, exchange: Exchange) -> Mismatch | None:
@@ -750,7 +858,8 @@ class Oracle:
         for candidate, history in before.items():
             if message is not None and self._absent(candidate.state):
                 continue
-            if candidate.loose or not self._alive(candidate.state):
+            nothing = message is None and self._shut(candidate)
+            if nothing or may_hold_anything(self.model, candidate):
                 loose = Loose.NONE if candidate.loose is Loose.ONE else candidate.loose
                 left = replace(candidate, outbox=candidate.outbox[1:], loose=loose, last=data)
                 after[left] = history
@@ -863,6 +972,9 @@ class Oracle:
     def _alive(self, state: State) -> bool:
         return is_alive(self.model, state)
 
+    def _shut(self, candidate: Candidate) -> bool:
+        return is_shut(self.model, candidate.state)
+
     def _keeps_inputs(self, state: State) -> bool:
         return definitely(self.model, state, "inputs_valid") is not False
 
@@ -904,6 +1016,12 @@ def _kept(before: Explanations, after: Explanations) -> Explanations:
 def _differing(expected: Mapping[str, Value], observed: Mapping[str, Value]) -> tuple[str, ...]:
     """Give the fields that are not as expected."""
     return tuple(name for name, value in expected.items() if not admits(value, observed[name]))
+
+
+def _clauses_of(layout: Register | Word, names: Collection[str]) -> tuple[str, ...]:
+    """Give the clauses of a layout and of some of its fields."""
+    fields = (field.clauses for field in layout.fields if field.name in names)
+    return (*layout.clauses, *(clause for clauses in fields for clause in clauses))
 
 
 def _fewest(differing: Iterable[tuple[str, ...]]) -> tuple[str, ...]:

@@ -39,6 +39,8 @@ class _Way:
     """Its answer may come before those that are due."""
     was_alive: bool
     alive: bool
+    shut: bool
+    """The state has no mailbox, though the SyncManagers have one."""
     opened: tuple[State, ...]
     """Where the device may be after what the texts leave open; empty: they do not."""
 
@@ -64,6 +66,17 @@ class Grown:
 def is_alive(model: Model, state: State) -> bool:
     """Tell whether the mailbox may be alive."""
     return definitely(model, state, "mailbox_alive") is not False
+
+
+def is_shut(model: Model, state: State) -> bool:
+    """Tell whether the state has no mailbox, though the SyncManagers have one."""
+    return definitely(model, state, "mailbox_shut") is True
+
+
+def may_hold_anything(model: Model, candidate: Candidate) -> bool:
+    """Tell whether no text speaks of what lies in the mailbox."""
+    judged = is_alive(model, candidate.state) or is_shut(model, candidate.state)
+    return bool(candidate.loose) or not judged
 
 
 @once
@@ -145,8 +158,11 @@ def served(
         if mail and taken.unspecified:
             loose = max(loose, Loose.ONE)
         if way.alive != way.was_alive:
-            outbox, loose, last = (), Loose.NONE if way.alive else Loose.ALL, None
-        if mail and not taken.unspecified and not candidate.outbox:
+            # an answer that was due, or a message that came by itself, may lie there unread
+            due = candidate.outbox or any(other.event.trail for other in rest)
+            left = Loose.ALL if due or not way.shut else Loose.ONE
+            outbox, loose, last = (), Loose.NONE if way.alive else left, None
+        if mail and way.alive and not taken.unspecified and not candidate.outbox:
             loose = Loose.NONE
         if way.opened:
             found += [
@@ -175,6 +191,7 @@ def _ways(model: Model, state: State, event: Event) -> tuple[_Way, ...]:
             ),
             was_alive,
             is_alive(model, taken.state),
+            is_shut(model, taken.state),
             after_open(model, taken.state) if is_open(model, taken) else (),
         )
         for taken in step(model, state, event)

@@ -5,18 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ecatspec.model.compiled import paths_in
-from ecatspec.model.esc import AREAS, DIRECTIONS, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.esc import AREAS, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import fields_with_before
 from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, Mapped, taken
-from ecatspec.model.values import Pattern, Value, admits, is_any
+from ecatspec.model.values import Pattern, Value, admits, bits_of, is_any
 from ecatspec.model.words import register_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.compiled import Model
+    from ecatspec.model.compiled import Model, View
     from ecatspec.model.state import State
     from ecatspec.spec.language.ir import Register, Word
 
@@ -36,21 +36,28 @@ def usual_mailbox(model: Model) -> dict[str, int]:
     found = {}
     for name in SYNC_MANAGERS:
         fields = {field.name: field.low for field in model.protocol.registers[name].fields}
-        settings = mailbox_fields(model, name)
+        settings = mailbox_fields(model, name, AREAS[name])
         found[f"register {name}"] = sum(value << fields[n] for n, value in settings.items())
         activation = f"{name}_activation"
         found[f"register {activation}"] = field_mask(model.protocol, activation, "enabled")
     return found
 
 
-def mailbox_fields(model: Model, name: str) -> dict[str, int]:
-    """Give the fields of a mailbox SyncManager as a device wants them."""
-    start, length = _own_area(model, name)
+def mailbox_fields(model: Model, name: str, area: str) -> dict[str, int]:
+    """Give the fields of a mailbox SyncManager as a device wants them in an area, by its name."""
+    start, length = (model.parameter(area, part) for part in ("start", "length"))
+    return {"start": start, "length": length, **control_fields(model, name)}
+
+
+def control_fields(model: Model, name: str) -> dict[str, int]:
+    """Give the fields of the control byte of a SyncManager, as the device's description has it."""
+    control = model.parameter(f"{name}_control")
+    fields = model.protocol.registers[name].fields
+    first = next(field.low for field in fields if field.name == "mode")
     return {
-        "start": start,
-        "length": length,
-        "mode": model.row("sync_manager_mode", "mailbox"),
-        "direction": model.row("sync_manager_direction", DIRECTIONS[name]),
+        field.name: bits_of(control, field.low - first, field.high - first)
+        for field in fields
+        if field.low >= first
     }
 
 
@@ -117,6 +124,14 @@ def seen(model: Model, name: str, state: State, raw: int) -> tuple[State, ...]:
             holder = view.holder(Environment(state.slots, {}, {}))
             state = state if holder is None else state.having(holder, observed)
     return (state,)
+
+
+@once
+def advised(model: Model, name: str, state: State) -> tuple[tuple[View, Value], ...]:
+    """Give the fields of a register that should show something beside what they must."""
+    environment = Environment(state.slots, {}, {})
+    found = ((view, view.advised) for view in model.views[name])
+    return tuple((view, get(environment)) for view, get in found if get is not None)
 
 
 @once

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.esc import AREAS, DIRECTIONS, PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.esc import AREAS, BOOTSTRAP, PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.fmmu import fmmu_registers
 from ecatspec.model.process_image import INPUTS, OUTPUTS
-from ecatspec.model.shown import layout
+from ecatspec.model.shown import control_fields, layout
 from ecatspec.model.subdevice import power_on
 from ecatspec.spec.language.ir import Access, Text
 
@@ -82,12 +82,11 @@ class _Maker:
         for subindex, name in enumerate(_IDENTITY, 1):
             fields[name] = int.from_bytes(self._known.get((index, subindex), b""), "little")
         fields["coe"] = coe = self._goes("mailbox_support", "present")
-        boots = self._goes("bootstrap", "supported")
-        for area in ("mailbox_out", "mailbox_in"):
-            for part in ("start", "length"):
-                value = model.parameter(area, part) * coe
-                fields[f"{area}_{part}"] = value
-                fields[f"bootstrap_{area.removeprefix('mailbox_')}_{part}"] = value * boots
+        boots = coe and self._goes("bootstrap", "supported")
+        for areas, there in ((AREAS, coe), (BOOTSTRAP, boots)):
+            for name in SYNC_MANAGERS:
+                for part in ("start", "length"):
+                    fields[f"{areas[name]}_{part}"] = model.parameter(areas[name], part) * there
         fields["size"] = max(0, size // model.parameter("size_unit") - 1)
         return configuration + model.codec.encode("sii_information", fields)
 
@@ -143,19 +142,16 @@ class _Maker:
         return bytes(uses).ljust(number, bytes([self._model.row("fmmu_use", "unused")]))
 
     def _manager(self, use: str, name: str) -> bytes:
-        model, mailbox = self._model, name in SYNC_MANAGERS
+        model = self._model
         length = model.parameter(AREAS[name], "length")
-        if not mailbox:
+        if name in PROCESS_DATA:
             assigned = OUTPUTS if use == "outputs" else INPUTS
             bits = sum(part.bits for part in layout(model, self._state, assigned) or ())
             length = -(-bits // _BYTE)
         settings: dict[str, Value] = {
             "start": model.parameter(AREAS[name], "start"),
             "length": length,
-            "mode": model.row("sync_manager_mode", "mailbox" if mailbox else "buffered"),
-            "direction": model.row("sync_manager_direction", DIRECTIONS[name]),
-            "interrupt": True,
-            "watchdog": use == "outputs",
+            **control_fields(model, name),
             "enabled": length > 0,
             "use": model.row("sync_manager_use", use),
         }

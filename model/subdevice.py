@@ -26,6 +26,7 @@ from ecatspec.model.process_image import INPUTS, placed
 from ecatspec.model.shown import definitely, layout
 from ecatspec.model.state import Event, Output, State, Step
 from ecatspec.model.values import Pattern, Value, concrete
+from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE
 
 if TYPE_CHECKING:
@@ -44,11 +45,16 @@ class Quirk(StrEnum):
     """A mistake in how a device handles its mailbox memory, which no text can describe."""
 
     OVERWRITES = "overwrites"
-    """A request is served while the answer before is unread, and its answer put over that one."""
+    """A request is served while the answer before is unread, and its answer put in the place of
+    that one, which the device takes back by switching the SyncManager."""
     SHORT_WRITES = "short_writes"
     """The last byte of the area is not written, so that the mailbox never becomes full."""
     LOSES_UNREAD = "loses_unread"
     """A repeated message is put over the one that was not read yet."""
+    KEEPS_CODE = "keeps_code"
+    """AL Status Code is written with an error only, and not taken back with it."""
+    OPEN_REGISTERS = "open_registers"
+    """The MainDevice can write registers that only the device may write."""
 
 
 class VirtualSubDevice:
@@ -88,10 +94,10 @@ class VirtualSubDevice:
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""
-        before = self.esc.channel(MAIN_IN)
+        outbox = self.esc.mailbox(MAIN_IN)
+        waits = outbox is not None and outbox.full
         result = self.esc.main_read(address, length)
-        after = self.esc.channel(MAIN_IN)
-        if before is not None and after is not None and before.full and not after.full:
+        if outbox is not None and waits and not outbox.full:
             self._last, self._unread = self._unread, None
             self._run(self.model.fetched)
             self.poll()
@@ -100,8 +106,17 @@ class VirtualSubDevice:
     def write(self, address: int, data: bytes) -> int:
         """Write as the MainDevice."""
         counter = self.esc.main_write(address, data)
+        if Quirk.OPEN_REGISTERS in self.quirks:
+            self._overwrite(address, data)
         self.poll()
         return counter
+
+    def _overwrite(self, address: int, data: bytes) -> None:
+        for register in self.model.protocol.registers.values():
+            place = register.address - address
+            if register.main is Access.READ and 0 <= place <= len(data) - register.size:
+                raw = int.from_bytes(data[place : place + register.size], "little")
+                self.esc.set_register(register.name, raw)
 
     def advance(self, seconds: float) -> None:
         """Let time pass: what comes by itself comes as early as it may, all else at once."""
@@ -184,23 +199,27 @@ class VirtualSubDevice:
                 self._run(Event(source.machine, source.input, {IMAGE: image}))
 
     def _serve_mailbox(self) -> None:
-        outbox = self.esc.channel(MAIN_IN)
+        outbox = self.esc.mailbox(MAIN_IN)
         if outbox is None:
             self._unread = None
             return
         free = not outbox.full or Quirk.OVERWRITES in self.quirks
-        inbox = self.esc.channel(MAIN_OUT)
+        inbox = self.esc.mailbox(MAIN_OUT)
         if inbox is not None and inbox.full and not self._queue and free:
-            message = self.model.decode(self.esc.pdi_read(inbox.start, inbox.length))
+            area = inbox.channel
+            message = self.model.decode(self.esc.pdi_read(area.start, area.length))
             if message is not None:
                 self._run(self.model.mail(message, crowded=False), message)
         if self._queue and free:
+            if Quirk.OVERWRITES in self.quirks:
+                self.esc.empty(MAIN_IN)
+            area = outbox.channel
             self._unread = self._queue.pop(0)
-            reply = self._unread[: outbox.length]
+            reply = self._unread[: area.length]
             if Quirk.SHORT_WRITES in self.quirks:
-                self.esc.pdi_write(outbox.start, reply[: outbox.length - 1])
+                self.esc.pdi_write(area.start, reply[: area.length - 1])
             else:
-                self.esc.pdi_write(outbox.start, reply.ljust(outbox.length, b"\0"))
+                self.esc.pdi_write(area.start, reply.ljust(area.length, b"\0"))
 
     def react(self, event: Event) -> Step:
         """Give what the rules make of an input in the present state."""
@@ -292,7 +311,8 @@ class VirtualSubDevice:
         if inputs is not None:
             self.esc.set_inputs(inputs)
         for register, raw in registers:
-            self.esc.set_register(register, raw)
+            if raw or register != "al_status_code" or Quirk.KEEPS_CODE not in self.quirks:
+                self.esc.set_register(register, raw)
 
 
 @once

@@ -13,9 +13,9 @@ class Pattern:
     """What a value may be: one of `ranges` (None: anything) but not `excluded`.
 
     With `lengths` it is a byte string of so many bytes (least, most) that begins like `content`
-    (None: anything); where `mask` has a zero bit the content is not known. `into` names where the
-    observed value goes: a slot of the state or an object. `preferred` is what the model takes
-    where it has to act itself.
+    (None: anything), with `ranges` too one that is such a number, its lowest byte first; where
+    `mask` has a zero bit the content is not known. `into` names where the observed value goes: a
+    slot of the state or an object. `preferred` is what the model takes where it has to act itself.
     """
 
     ranges: tuple[tuple[int, int], ...] | None = None
@@ -39,13 +39,19 @@ class Pattern:
     def _admits_bytes(self, value: bytes, lengths: tuple[int, int]) -> bool:
         if not lengths[0] <= len(value) <= lengths[1]:
             return False
+        number = int.from_bytes(value, "little") if self.ranges is not None else 0
+        if not any(low <= number <= high for low, high in self.ranges or ((0, 0),)):
+            return False
         if self.content is None:
             return True
         if self.mask is None:
             return self.content[: len(value)] == value
         # beyond the content nothing is known
-        known = zip(value, self.content, self.mask, strict=False)
-        return all(not (seen ^ wanted) & certain for seen, wanted, certain in known)
+        length = min(len(value), len(self.content), len(self.mask))
+        seen, wanted, certain = (
+            int.from_bytes(each[:length], "little") for each in (value, self.content, self.mask)
+        )
+        return not (seen ^ wanted) & certain
 
     def first(self, after: int = -1) -> int:
         """Give the number named first; with `after` the next one above it, or the smallest."""

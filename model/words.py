@@ -24,6 +24,8 @@ _FIRST, _LAST = 8, 4
 """So many bytes of them are, from either end."""
 _QUIET = ("address", "channel", "priority", "reserved", "padding", "payload", "body", "number")
 
+_RARELY_SET = ("reserved", "application")
+"""Fields of registers with these names are said only where they are not 0."""
 _EXCESS = "excess"
 """Bytes of this name are said only where there are some: a valid message has none."""
 
@@ -31,8 +33,11 @@ _EXCESS = "excess"
 def typed_words(model: Model, kind: Type, value: Value) -> str:
     """Say a value of a type: hexadecimal as wide as the type, with its name where it has one."""
     match value:
-        case Pattern(lengths=(least, most), content=content, mask=mask):
+        case Pattern(lengths=(least, most), content=content, mask=mask, ranges=ranges):
             count = f"{least} to {most} bytes" if least < most else f"{most} bytes"
+            if ranges is not None:
+                parts = [f"{low}" if low == high else f"{low}..{high}" for low, high in ranges]
+                return f"{count}: {' or '.join(parts)}"
             if content is None:
                 return f"any {count}"
             start = content[:most]
@@ -94,10 +99,14 @@ def value_words(model: Model, frame: str, field: str, value: Value) -> str:
 
 
 def register_words(model: Model, name: str, fields: Mapping[str, Value]) -> str:
-    """Say what a register or a word holds, field by field."""
+    """Say what a register or a word holds, field by field, reserved bits only where one is set."""
     holder = model.protocol.registers.get(name) or model.protocol.words[name]
     types = {field.name: field.type for field in holder.fields}
-    words = ", ".join(f"{n} {typed_words(model, types[n], v)}" for n, v in fields.items())
+    words = ", ".join(
+        f"{n} {typed_words(model, types[n], v)}"
+        for n, v in fields.items()
+        if v != 0 or n not in _RARELY_SET
+    )
     return f"{name}: {words}"
 
 

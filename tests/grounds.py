@@ -53,20 +53,31 @@ DEVICES = tuple(name for name in device_names() if load_device(name).manuals)
 REFERENCE = Ground("reference")
 GROUNDS = {
     "information": Ground("reference", ("sdo_information",), SMALL),
+    "al": Ground(
+        "reference-drive", ("al", "process_data", "mailbox", "ds402/commands_in_SAFEOP_after_OP")
+    ),
     "process_data": Ground("reference-drive", ("process_data", "al")),
     "configuration": Ground("reference-drive", ("sdo/configuration",)),
     "drive": Ground("reference-drive", ("ds402",), alike=ALIKE),
+    "synchronisation": Ground("reference-drive", ("sdo/upload", "sdo/default", "sdo/takes")),
     "edges": Ground("kollmorgen-s300"),
     **{name.replace("-", "_"): Ground(name) for name in DEVICES},
 }
 """By the text of the faults; all others are looked for with all cases of the reference."""
 
 LIKELY = {
+    "counted_array_downloaded": "sdo/complete_download_whole/1",
+    "short_text_refused": "sdo/download/2021_",
+    "short_text_refused_with_data": "sdo/single_bytes/2021_",
     "container_forgets": "sdo/download/6089_",
+    "default_lost": "sdo/default/",
+    "every_value_refused": "sdo/takes/",
     "container_refused": "sdo/upload/6089_",
     "initiate_keeps_transfer": "sdo/server/downloading/upload",
     "lost_clock_faults_idle_drive": "process_data/sync_lost/",
     "mailbox_unchecked": "al/sync_manager_0_",
+    "old_tail_kept": "sdo/transfer/shorter_after",
+    "stored_as_it_comes": "sdo/transfer/client_abort",
     "missing_outputs_by_standard_code": "al/set_up/request_PREOP/request_SAFEOP/",
     "pdo_on_mailbox_channel": "sdo/download_in_SAFEOP/1C12_",
     "position_pdo_unknown": "sdo/configuration/assign/",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from ecatspec.conformance.adapters.model import VirtualAdapter
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.session import NOTHING, Session
-from ecatspec.model.buffers import ThreeBuffers
+from ecatspec.model.buffers import Buffers
 from ecatspec.model.esc import Esc
 from ecatspec.model.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
@@ -45,7 +45,7 @@ class _Kept:
 def _taken(thing: object) -> object:
     """Give a copy of what changes in a virtual device; all else is what it was."""
     match thing:
-        case VirtualAdapter() | VirtualSubDevice() | Esc() | ThreeBuffers() | Seen():
+        case VirtualAdapter() | VirtualSubDevice() | Esc() | Buffers() | Seen():
             return _Kept(thing, {name: _taken(value) for name, value in vars(thing).items()})
         case list():
             return [bytearray(each) if isinstance(each, bytearray) else each for each in thing]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import random
 import re
 import subprocess
@@ -9,7 +10,9 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
-from c_device import SOURCES, TEXT, WHERE, build, sanitizes
+from c_device import SOURCES, TEXT, WHERE, build, library, sanitizes
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.devices import load
@@ -20,6 +23,7 @@ from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
+from ecatspec.model.esc import Esc
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -210,6 +214,115 @@ def test_no_access_breaks_it(slave: Path) -> None:
                     )
                     size = bytes((dice.choice((5, 60, 120, 200)), 0, 0, 0))
                     adapter.write(0x1000, (header + request + size + dice.randbytes(32))[:48])
+
+
+# --- the chip -------------------------------------------------------------------------------------
+
+CHIP = """
+#include "chip.c"
+const size_t size_of_chip = sizeof(struct esc);
+const uint16_t outputs_length = 0, inputs_length = 0;
+"""
+AREAS = ((0x1000, 6, 0x26), (0x1010, 5, 0x22), (0x1020, 4, 0x64), (0x1040, 3, 0x20))
+"""Start, length and control of the SyncManagers."""
+STATES, EVENTS = (0x0800, 32), (0x0220, 4)
+ACCESSES = st.tuples(
+    st.sampled_from(("main_read", "main_write", "pdi_read", "pdi_write")),
+    st.sampled_from(AREAS).flatmap(lambda area: st.integers(area[0] - 1, area[0] + 4 * area[1])),
+    st.binary(min_size=1, max_size=8),
+)
+SWITCHES = st.tuples(
+    st.sampled_from(("main_write", "pdi_write")),
+    st.sampled_from(range(len(AREAS))),
+    st.sampled_from((b"\0", b"\1")),
+).map(lambda t: (t[0], 0x0800 + 8 * t[1] + (6 if t[0] == "main_write" else 7), t[2]))
+
+
+class Chip:
+    """The chip in C as both sides use it, like `Esc`."""
+
+    def __init__(self, file: Path) -> None:
+        self._of = ctypes.CDLL(str(file))
+        size = ctypes.c_size_t.in_dll(self._of, "size_of_chip").value
+        self._state = ctypes.create_string_buffer(size)
+        self._of.chip_reset(self._state)
+
+    def main_read(self, address: int, length: int) -> tuple[int, bytes]:
+        data = ctypes.create_string_buffer(length)
+        counter = self._of.chip_main_read(self._state, address, data, ctypes.c_size_t(length))
+        return counter, data.raw
+
+    def main_write(self, address: int, data: bytes) -> int:
+        size = ctypes.c_size_t(len(data))
+        counter: int = self._of.chip_main_write(self._state, address, data, size)
+        return counter
+
+    def pdi_read(self, address: int, length: int) -> bytes:
+        data = ctypes.create_string_buffer(length)
+        self._of.esc_read(self._state, address, data, ctypes.c_size_t(length))
+        return data.raw
+
+    def pdi_write(self, address: int, data: bytes) -> None:
+        self._of.esc_write(self._state, address, data, ctypes.c_size_t(len(data)))
+
+    def al_event(self) -> int:
+        events: int = self._of.esc_events(self._state)
+        return events
+
+
+@pytest.fixture(scope="session")
+def chip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("chip") / "libchip.so"
+    return library(CHIP, file, f"-I{SOURCES}", str(SOURCES / "esc.c"))
+
+
+def does(one: Chip | Esc, act: str, address: int, data: bytes) -> tuple[int, bytes]:
+    """Do something from one side; give what is counted and what is read."""
+    match act:
+        case "main_read":
+            return one.main_read(address, len(data))
+        case "main_write":
+            return one.main_write(address, data), b""
+        case "pdi_read":
+            return 0, one.pdi_read(address, len(data))
+        case _:
+            one.pdi_write(address, data)
+            return 0, b""
+
+
+@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(acts=st.lists(st.one_of(ACCESSES, ACCESSES, ACCESSES, SWITCHES), max_size=40))
+@example(
+    acts=[
+        ("main_write", 0x1000, b"abcdef"),
+        ("pdi_read", 0x1000, b"."),
+        ("pdi_read", 0x1000, b"......"),
+    ]
+)
+@example(
+    acts=[
+        ("pdi_write", 0x1010, b"abcde"),
+        ("pdi_write", 0x1010, b"f"),
+        ("main_read", 0x1010, b"....."),
+    ]
+)
+def test_the_chip_in_c_and_the_chip_of_level_b_are_the_same(
+    chip: Path, acts: list[tuple[str, int, bytes]]
+) -> None:
+    both = Chip(chip), Esc(model())
+    for one in both:
+        for number, (start, length, control) in enumerate(AREAS):
+            words = start.to_bytes(2, "little") + length.to_bytes(2, "little")
+            one.main_write(0x0800 + 8 * number, words + bytes([control, 0, 1]))
+    switched = False
+    for act, address, data in acts:
+        switched = switched or address < AREAS[0][0] - 1
+        (counted, found), (expected, content) = (does(one, act, address, data) for one in both)
+        assert counted == expected
+        # a buffer that was switched off may begin with any content
+        assert found == content or switched
+        assert both[0].al_event() == both[1].al_event()
+        assert both[0].main_read(*STATES) == both[1].main_read(*STATES)
 
 
 def test_every_fault_has_its_cases() -> None:

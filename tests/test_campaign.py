@@ -139,9 +139,14 @@ def test_what_steps_told_is_known_afterwards() -> None:
     assert one.knowledge() == Knowledge({**SHAPE, "a": "y"}, {"b": "x"}, frozenset({"s"}))
     assert (one.untold, one.refusals) == ({"u"}, {"for it": "one"})
     assert set(map(str, one.rules)) == {"al.to_init"}
-    one.crew = Told(Judged("one", verdict, Learned(disbelieved=True)))
-    one.run([CASE], None, 1)
+    assert not one.moved
+    one.crew = Told(
+        Judged("one", verdict, Learned(disbelieved=True, moved=True)),
+        Judged("one", verdict, Learned()),
+    )
+    one.run([CASE, CASE], None, 2)
     assert one.believed == {}
+    assert one.moved
 
 
 # --- crews ----------------------------------------------------------------------------------------

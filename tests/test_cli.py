@@ -201,7 +201,7 @@ def assert_refused(outcome: tuple[int, str, str], *words: str) -> None:
         (["run", DEVICE, "--hang-timeout", "nan"], "nan"),
         (["run", DEVICE, "--hang-timeout", "inf"], "inf"),
         (["run", "reference", "--replay", "al/request_PREOP/request_INI"], "request_INIT'?"),
-        (["run", "reference", "--replay", "zzz"], "for instance 'al/"),
+        (["run", "reference", "--replay", "zzz"], "for instance 'sdo/"),
         (["run", "reference", "--replay", "case.x"], "damaged; copy the whole token"),
         (["mutate"], "DEVICE"),
         (["mutate", "kolmorgen-akd"], "did you mean `kollmorgen-akd`?"),
@@ -446,6 +446,16 @@ def test_exit_statuses(
         assert code == status
         assert out.startswith(f"{DEVICE}, tested: played\n")
         assert err.count("\n") == (1 if status == 2 else 0)
+
+
+def test_a_device_that_was_never_where_cases_needed_it_does_not_conform(
+    call: Call, played: Played
+) -> None:
+    silent = replace(result(Outcome.PASS, Outcome.INCONCLUSIVE), unreached=("SAFEOP", "OP"))
+    played.results = (silent,)
+    status, out, _ = call("run", DEVICE)
+    assert status == 1
+    assert out.splitlines()[1].startswith("  NOT SHOWN: SAFEOP, OP were never reached")
 
 
 def test_an_interrupted_run_shows_what_was_found(call: Call, played: Played) -> None:

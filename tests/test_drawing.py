@@ -258,7 +258,7 @@ def test_the_usual_order(device: str, machine: str, line: list[str]) -> None:
 
 
 def test_boot_stands_beside_init_and_its_arrows_are_straight() -> None:
-    seen = picture(drawn("standard", "al", "svg"))
+    seen = picture(drawn("kollmorgen-akd", "al", "svg"))
     states = {area.what: area for area in seen.states}
     assert states["BOOT"].top == states["INIT"].top
     straight = [line for line in seen.lines if "BOOT" in {line.source, line.target}]
@@ -334,12 +334,21 @@ def test_what_the_pins_exclude_is_no_arrow() -> None:
         graph = graph_of(protocol, "al")
         return {rule.name for arrow in graph.arrows for rule in arrow.rules}
 
-    assert {"op_skipping_drops", "unknown_state_drops"} <= on_arrows(loaded("standard"))
+    standard = loaded("standard")
     akd = loaded("kollmorgen-akd")
     assert akd.pins["refused_in_op"].alternative == "stay"
-    assert not {"op_skipping_drops", "unknown_state_drops"} & on_arrows(akd)
+    assert akd.pins["emulation"].alternative == "none"
+    rules = standard.machines["al"].rules
+    excluded = {"op_skipping_drops", "unknown_state_drops"}
+    excluded |= {r.name for r in rules if r.name.startswith("copied_") and r.target is not None}
+    assert excluded <= on_arrows(standard)
+    assert not excluded & on_arrows(akd)
     (entry,) = (e for e in graph_of(akd, "al").legend if e.words.startswith("Cannot fire"))
-    assert set(entry.names) == {"op_skipping_drops", "unknown_state_drops"}
+    assert set(entry.names) == excluded | {
+        "copied_no_state",
+        "sync_lost_without_controller",
+        "watchdog_without_controller",
+    }
 
 
 def test_a_state_that_is_never_reached_is_shown_as_such() -> None:

@@ -1,4 +1,4 @@
-"""The only place for tests of process data in model/esc.py: buffers, FMMUs, deactivation."""
+"""The only place for tests of the areas of model/esc.py: buffers, events, FMMUs, deactivation."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ecatspec.model.buffers import ProcessChannel
+from ecatspec.model.buffers import Channel
 from ecatspec.model.compiled import Model
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, Esc, field_of
+from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, Esc, field_mask, field_of
 from ecatspec.spec.language.load import load_device
 
 MODEL: Final = Model(load_device("reference"))
 PROTOCOL: Final = MODEL.protocol
 OUTPUTS, INPUTS = PROCESS_DATA
-OUT: Final = ProcessChannel(0x1000, 6, main_writes=True)
-IN: Final = ProcessChannel(0x1100, 5, main_writes=False)
+OUT: Final = Channel(0x1000, 6, main_writes=True)
+IN: Final = Channel(0x1100, 5, main_writes=False)
+MAIL_OUT, MAIL_IN = SYNC_MANAGERS
+TO_DEVICE: Final = Channel(0x1200, 6, main_writes=True, mailbox=True)
+TO_MAIN: Final = Channel(0x1210, 5, main_writes=False, mailbox=True)
 ON, OFF = b"\x01", b"\x00"
 
 
@@ -31,16 +34,18 @@ def status(esc: Esc, name: str, field: str) -> int:
     return field_of(PROTOCOL, register, field, esc.register(register))
 
 
-def set_up(esc: Esc, name: str, channel: ProcessChannel, *, control: int | None = None) -> None:
+def set_up(esc: Esc, name: str, channel: Channel, *, control: int | None = None) -> None:
     """Write start, length, control and activation of a SyncManager as a MainDevice does."""
     if control is None:
         control = 0x64 if channel.main_writes else 0x20
+        if channel.mailbox:
+            control = 0x26 if channel.main_writes else 0x22
     words = channel.start.to_bytes(2, "little") + channel.length.to_bytes(2, "little")
     assert put(esc, name, words + bytes([control, 0])) == 1
     assert put(esc, f"{name}_activation", ON) == 1
 
 
-def map_bytes(esc: Esc, number: int, logical: int, channel: ProcessChannel) -> None:
+def map_bytes(esc: Esc, number: int, logical: int, channel: Channel) -> None:
     map_bits(esc, number, (logical, channel.length, 0, 7), (channel.start, 0), channel.main_writes)
 
 
@@ -60,6 +65,15 @@ def esc() -> Esc:
     esc = Esc(MODEL)
     set_up(esc, OUTPUTS, OUT)
     set_up(esc, INPUTS, IN)
+    return esc
+
+
+@pytest.fixture
+def mail(esc: Esc) -> Esc:
+    """The same with both mailboxes, and the device has looked at the settings."""
+    set_up(esc, MAIL_OUT, TO_DEVICE)
+    set_up(esc, MAIL_IN, TO_MAIN)
+    esc.pdi_read(PROTOCOL.registers[MAIL_OUT].address, 8)
     return esc
 
 
@@ -122,7 +136,7 @@ def test_each_side_has_its_own_area(esc: Esc) -> None:
 
 
 @pytest.mark.parametrize("area", [OUT, IN])
-def test_the_hidden_buffers_belong_to_nobody(esc: Esc, area: ProcessChannel) -> None:
+def test_the_hidden_buffers_belong_to_nobody(esc: Esc, area: Channel) -> None:
     for start in (area.end, area.end + area.length):
         assert esc.main_read(start, area.length) == (0, bytes(area.length))
         assert esc.main_write(start, bytes(area.length)) == 0
@@ -134,7 +148,7 @@ def test_the_hidden_buffers_belong_to_nobody(esc: Esc, area: ProcessChannel) -> 
 
 def test_hidden_buffers_give_way_to_areas(esc: Esc) -> None:
     put(esc, f"{INPUTS}_activation", OFF)
-    set_up(esc, INPUTS, ProcessChannel(OUT.end, 5, main_writes=False))
+    set_up(esc, INPUTS, Channel(OUT.end, 5, main_writes=False))
     esc.set_inputs(b"12345")
     assert esc.main_read(OUT.end, 5) == (1, b"12345")
 
@@ -191,6 +205,154 @@ def test_the_device_can_use_its_hooks_instead(esc: Esc) -> None:
     assert esc.pdi_read(OUT.start + 3, 3) == b"def"
 
 
+# --- events ---------------------------------------------------------------------------------------
+
+
+def seen(esc: Esc, name: str) -> str:
+    """Give the bits of the status that are set, and whether there is an event for the device."""
+    bits = ["written", "taken"] + ["full"] * (name in SYNC_MANAGERS)
+    event = field_mask(PROTOCOL, "al_event_request", name) & esc.al_event()
+    return " ".join([bit for bit in bits if status(esc, name, bit)] + ["event"] * bool(event))
+
+
+def test_a_message_to_the_device_is_an_event_until_its_first_byte_is_read(mail: Esc) -> None:
+    assert mail.main_write(TO_DEVICE.start, b"abc") == 1
+    assert seen(mail, MAIL_OUT) == ""
+    assert mail.main_write(TO_DEVICE.start + 3, b"def") == 1
+    assert seen(mail, MAIL_OUT) == "written full event"
+    assert mail.pdi_read(TO_DEVICE.start, 1) == b"a"
+    assert seen(mail, MAIL_OUT) == "full"
+    assert mail.pdi_read(TO_DEVICE.start, 5) == b"abcde"
+    assert mail.pdi_read(TO_DEVICE.start + 5, 1) == b"f"
+    assert seen(mail, MAIL_OUT) == "taken"
+    assert mail.main_write(TO_DEVICE.start, b"g") == 1
+    assert seen(mail, MAIL_OUT) == ""
+
+
+def test_a_message_of_the_device_was_read_until_its_first_byte_is_written(mail: Esc) -> None:
+    mail.pdi_write(TO_MAIN.start, b"abc")
+    assert seen(mail, MAIL_IN) == ""
+    mail.pdi_write(TO_MAIN.start + 3, b"de")
+    assert seen(mail, MAIL_IN) == "written full"
+    assert mail.main_read(TO_MAIN.start, 1) == (1, b"a")
+    assert seen(mail, MAIL_IN) == "full"
+    assert mail.main_read(TO_MAIN.start + 1, 4) == (1, b"bcde")
+    assert seen(mail, MAIL_IN) == "taken event"
+    # so a stack takes notice of the event, long before it has something to say
+    mail.pdi_write(TO_MAIN.start, b"\0")
+    assert seen(mail, MAIL_IN) == ""
+    assert mail.main_read(TO_MAIN.start, 5)[0] == 0
+    mail.pdi_write(TO_MAIN.start, b"fghij")
+    assert mail.main_read(TO_MAIN.start, 5) == (1, b"fghij")
+
+
+def test_an_event_stays_that_came_in_the_middle_of_an_image(esc: Esc) -> None:
+    write(esc, b"abcdef")
+    assert esc.pdi_read(OUT.start, 3) == b"abc"
+    assert seen(esc, OUTPUTS) == ""
+    write(esc, b"ghijkl")
+    assert esc.pdi_read(OUT.start + 3, 3) == b"def"
+    assert seen(esc, OUTPUTS) == "written taken event"
+    esc.set_inputs(b"12345")
+    read(esc)
+    assert seen(esc, INPUTS) == "taken event"
+    esc.pdi_write(IN.start, b"67")
+    assert seen(esc, INPUTS) == ""
+    read(esc)
+    esc.pdi_write(IN.start + 2, b"890")
+    assert seen(esc, INPUTS) == "written taken event"
+
+
+def test_an_event_goes_with_its_sync_manager(mail: Esc) -> None:
+    mail.main_write(TO_DEVICE.start, b"abcdef")
+    mail.deactivate(MAIL_OUT, off=True)
+    mail.deactivate(MAIL_OUT, off=False)
+    assert seen(mail, MAIL_OUT) == ""
+    mail.main_write(TO_DEVICE.start, b"abcdef")
+    put(mail, f"{MAIL_OUT}_activation", OFF)
+    assert seen(mail, MAIL_OUT) == ""
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+def test_the_device_cannot_write_over_a_message_that_was_not_read(mail: Esc) -> None:
+    mail.pdi_write(TO_MAIN.start, b"first")
+    for offset in range(TO_MAIN.length):
+        mail.pdi_write(TO_MAIN.start + offset, b"second"[: TO_MAIN.length - offset])
+    assert seen(mail, MAIL_IN) == "written full"
+    assert mail.main_read(TO_MAIN.start, 2) == (1, b"fi")
+    mail.pdi_write(TO_MAIN.start, b"third")
+    assert mail.main_read(TO_MAIN.start, 5) == (1, b"first")
+
+
+def test_an_empty_mailbox_has_nothing_for_the_device(mail: Esc) -> None:
+    assert mail.pdi_read(TO_DEVICE.start, 6) == bytes(6)
+    mail.main_write(TO_DEVICE.start, b"abc")
+    assert mail.pdi_read(TO_DEVICE.start, 6) == bytes(6)
+    assert seen(mail, MAIL_OUT) == ""
+    mail.main_write(TO_DEVICE.start + 3, b"def")
+    assert mail.pdi_read(TO_DEVICE.start, 6) == b"abcdef"
+    assert mail.pdi_read(TO_DEVICE.start, 6) == bytes(6)
+    assert seen(mail, MAIL_OUT) == "taken"
+
+
+def test_a_mailbox_has_one_direction(mail: Esc) -> None:
+    mail.pdi_write(TO_DEVICE.start, b"sixsix")
+    assert seen(mail, MAIL_OUT) == ""
+    mail.main_write(TO_DEVICE.start, b"abcdef")
+    mail.pdi_write(TO_DEVICE.start, b"sixsix")
+    assert mail.pdi_read(TO_DEVICE.start, 6) == b"abcdef"
+    mail.pdi_write(TO_MAIN.start, b"abcde")
+    assert mail.pdi_read(TO_MAIN.start, 5) == bytes(5)
+    assert seen(mail, MAIL_IN) == "written full"
+    assert mail.main_read(TO_MAIN.start, 5) == (1, b"abcde")
+
+
+def test_a_mailbox_begins_with_its_first_byte(mail: Esc) -> None:
+    assert mail.main_write(TO_DEVICE.start + 1, b"bcdef") == 0
+    mail.pdi_write(TO_MAIN.start + 1, b"bcde")
+    assert (seen(mail, MAIL_OUT), seen(mail, MAIL_IN)) == ("", "")
+    mail.main_write(TO_DEVICE.start, b"abcdef")
+    mail.pdi_write(TO_MAIN.start, b"abcde")
+    assert mail.pdi_read(TO_DEVICE.start + 5, 1) == b"\0"
+    assert mail.main_read(TO_MAIN.start + 4, 1) == (0, b"\0")
+    assert (seen(mail, MAIL_OUT), seen(mail, MAIL_IN)) == ("written full event", "written full")
+
+
+def test_a_mailbox_that_the_device_switched_off_takes_and_gives_nothing(mail: Esc) -> None:
+    mail.main_write(TO_DEVICE.start, b"abcdef")
+    for name in SYNC_MANAGERS:
+        mail.deactivate(name, off=True)
+    assert mail.pdi_read(TO_DEVICE.start, 6) == bytes(6)
+    assert mail.main_write(TO_DEVICE.start, b"abcdef") == 0
+    mail.pdi_write(TO_MAIN.start, b"abcde")
+    assert (seen(mail, MAIL_OUT), seen(mail, MAIL_IN)) == ("", "")
+
+
+def test_a_mailbox_over_registers_guards_nothing() -> None:
+    esc = Esc(MODEL)
+    set_up(esc, MAIL_OUT, Channel(0x0100, 64, main_writes=True, mailbox=True))
+    assert esc.mailbox(MAIL_OUT) is None
+    assert put(esc, "al_control", b"\x02\x00") == 1
+    assert esc.pdi_read(PROTOCOL.registers["al_control"].address, 2) == b"\x02\x00"
+
+
+def test_no_bytes_have_no_effect(mail: Esc) -> None:
+    put(mail, "al_control", b"\x02\x00")
+    put(mail, f"{MAIL_IN}_activation", ON)
+    mail.expire_watchdog()
+    mail.main_write(TO_DEVICE.start, b"abcdef")
+    mail.pdi_write(TO_MAIN.start, b"abcde")
+    write(mail, b"abcdef")
+    before = mail.al_event(), mail.registers()
+    assert before[0].bit_count() == 5
+    for address in range(mail.size + 1):
+        assert mail.pdi_read(address, 0) == b""
+        mail.pdi_write(address, b"")
+    assert (mail.al_event(), mail.registers()) == before
+
+
 # --- settings -------------------------------------------------------------------------------------
 
 
@@ -205,7 +367,7 @@ def test_settings_are_an_event_and_stay_while_enabled(esc: Esc) -> None:
     put(esc, f"{OUTPUTS}_activation", OFF)
     assert esc.settings_changed
     assert put(esc, OUTPUTS, b"\x00\x20") == put(esc, f"{OUTPUTS}_activation", ON) == 1
-    assert esc.process_channel(OUTPUTS) == ProcessChannel(0x2000, 6, main_writes=True)
+    assert esc.process_channel(OUTPUTS) == Channel(0x2000, 6, main_writes=True)
 
 
 def test_a_new_start_has_empty_buffers(esc: Esc) -> None:
@@ -244,13 +406,13 @@ def test_deactivation_by_the_device_takes_the_area_away(esc: Esc) -> None:
 @pytest.mark.parametrize(
     ("channel", "control"),
     [
-        (ProcessChannel(0x1000, 0, main_writes=True), 0x24),
-        (ProcessChannel(0x1000, 6, main_writes=True), 0x26),
-        (ProcessChannel(0x0100, 64, main_writes=True), 0x24),
+        (Channel(0x1000, 0, main_writes=True), 0x24),
+        (Channel(0x1000, 6, main_writes=True), 0x26),
+        (Channel(0x0100, 64, main_writes=True), 0x24),
     ],
     ids=["no length", "mailbox mode", "over registers"],
 )
-def test_settings_that_give_no_buffers(channel: ProcessChannel, control: int) -> None:
+def test_settings_that_give_no_buffers(channel: Channel, control: int) -> None:
     esc = Esc(MODEL)
     set_up(esc, OUTPUTS, channel, control=control)
     assert esc.process_channel(OUTPUTS) is None
@@ -306,7 +468,7 @@ def test_an_fmmu_that_is_off_maps_nothing(esc: Esc) -> None:
 
 def test_the_state_of_a_mailbox_is_one_bit(esc: Esc) -> None:
     name = SYNC_MANAGERS[1]
-    set_up(esc, name, ProcessChannel(0x1200, 64, main_writes=False), control=0x22)
+    set_up(esc, name, Channel(0x1200, 64, main_writes=False, mailbox=True))
     at = PROTOCOL.registers[f"{name}_status"].address
     map_bits(esc, 3, (0x500, 1, 2, 2), (at, 3), 0)
     assert esc.logical("LRD", 0x500, b"\xff") == (1, b"\xfb")

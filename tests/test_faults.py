@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter, deque
 from functools import cache
 from typing import TYPE_CHECKING, Final
@@ -15,7 +16,7 @@ from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.runner import SHAPE, Runner
 from ecatspec.conformance.vectors.export import Export, Wanted
 from ecatspec.conformance.vectors.replay import Player
-from ecatspec.conformance.verdict import BLAMING
+from ecatspec.conformance.verdict import BLAMING, FOUND
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from ecatspec.generators.vectors import Head
 
 FAULTS = load_faults()
+ORDER: Final = {name: number for number, name in enumerate(sorted(FAULTS))}
+WHOLE: Final = bool(os.environ.get("ECATSPEC_WHOLE"))
+"""Vectors of all faults are tried, not of each second one, as `make test` does for its time."""
 COUNTED: Final = {"judged_with_count": "true"}
 KNOWN: Final[Mapping[str, Mapping[str, str]]] = {
     "any_number_assigned": COUNTED,
@@ -48,15 +52,20 @@ or they end there."""
 BEYOND: Final = frozenset(
     {
         "assignment_while_counted",
+        "code_kept",
+        "code_kept_after_success",
+        "code_kept_on_the_way",
+        "default_lost",
+        "every_value_refused",
         "fragments_not_counted",
+        "inputs_in_preop",
         "missing_object_error_wrong",
-        "refused_segment_stored",
-        "stale_outputs_count",
         "upload_size_of_object",
     }
 )
 """Faults that a run finds and vectors do not: they go an allowed way first, which nobody can know
-before, and the test ends; or what they do would be right a moment later, as vectors wait for it."""
+before, and the test ends; or what they do would be right a moment later, as vectors wait for it; or
+it only should be otherwise, of which vectors say nothing."""
 NEAR = 20
 """So many cases around the one that finds a fault in a run are tried as vectors."""
 LEFT_OPEN = """
@@ -76,7 +85,7 @@ def test_there_are_faults_of_every_service() -> None:
     for fault in FAULTS.values():
         clauses = load_device(ground_of(fault).device).clauses
         assert set(fault.clauses) <= set(clauses), fault.name
-        assert any(clauses[name].level == "must" for name in fault.clauses), fault.name
+        assert any(clauses[name].level in {"must", "should"} for name in fault.clauses), fault.name
     assert len(texts) > 1
 
 
@@ -163,12 +172,14 @@ def test_a_run_and_its_vectors_find_the_fault(name: str) -> None:
     for case in cases:
         verdict = runner.judge(case)
         near.appendleft(case)
-        if verdict.outcome in BLAMING and not set(verdict.clauses) & set(fault.clauses):
+        if verdict.outcome in FOUND and not set(verdict.clauses) & set(fault.clauses):
             other.add(verdict.clauses)
-        elif verdict.outcome in BLAMING or found:
+        elif verdict.outcome in FOUND or found:
             found += 1
             if name in BEYOND:
                 assert not blamed_by_vectors(made.ground, name, case), "take it from the list"
+                return
+            if not WHOLE and ORDER[name] % 2:
                 return
             if any(blamed_by_vectors(made.ground, name, c) for c in near):
                 return

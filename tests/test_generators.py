@@ -43,94 +43,104 @@ if TYPE_CHECKING:
 
 GOLDEN = {
     "kollmorgen-akd": {
-        "registers": 29,
-        "transitions": 814,
-        "process": 43,
+        "initial": 11,
+        "registers": 38,
+        "transitions": 838,
+        "process": 54,
         "events": 36,
         "configuration": 208,
-        "drive": 572,
-        "mailbox": 66,
+        "drive": 632,
+        "mailbox": 70,
         "examples": 1,
-        "sdo": 645,
-        "transfers": 674,
-        "complete": 279,
+        "sdo": 692,
+        "named": 17,
+        "transfers": 692,
+        "complete": 301,
         "server": 182,
         "information": 160,
         "families": 491,
-        "quick": 2834,
-        "default": 3402,
+        "quick": 3017,
+        "default": 3619,
     },
     "reference": {
-        "registers": 28,
-        "transitions": 546,
+        "initial": 41,
+        "registers": 37,
+        "transitions": 570,
         "process": 3,
         "events": 38,
         "configuration": 0,
         "drive": 0,
-        "mailbox": 66,
+        "mailbox": 70,
         "examples": 0,
-        "sdo": 379,
-        "transfers": 572,
-        "complete": 214,
+        "sdo": 470,
+        "named": 10,
+        "transfers": 725,
+        "complete": 252,
         "server": 294,
-        "information": 123,
+        "information": 138,
         "families": 485,
-        "quick": 2457,
-        "default": 2562,
+        "quick": 2789,
+        "default": 2920,
     },
     "standard": {
-        "registers": 28,
-        "transitions": 546,
+        "initial": 0,
+        "registers": 37,
+        "transitions": 570,
         "process": 3,
         "events": 38,
         "configuration": 0,
         "drive": 0,
-        "mailbox": 64,
+        "mailbox": 68,
         "examples": 0,
-        "sdo": 28,
+        "sdo": 38,
+        "named": 10,
         "transfers": 18,
         "complete": 12,
         "server": 51,
         "information": 28,
         "families": 491,
-        "quick": 1295,
-        "default": 1301,
+        "quick": 1352,
+        "default": 1358,
     },
     "reference-drive": {
-        "registers": 28,
-        "transitions": 734,
-        "process": 43,
+        "initial": 61,
+        "registers": 37,
+        "transitions": 758,
+        "process": 54,
         "events": 38,
         "configuration": 123,
-        "drive": 664,
-        "mailbox": 66,
+        "drive": 714,
+        "mailbox": 70,
         "examples": 0,
-        "sdo": 662,
-        "transfers": 815,
-        "complete": 242,
+        "sdo": 774,
+        "named": 0,
+        "transfers": 864,
+        "complete": 282,
         "server": 300,
-        "information": 130,
+        "information": 136,
         "families": 485,
-        "quick": 3186,
-        "default": 3647,
+        "quick": 3387,
+        "default": 3974,
     },
     "kollmorgen-s300": {
-        "registers": 29,
-        "transitions": 814,
-        "process": 43,
+        "initial": 4,
+        "registers": 38,
+        "transitions": 838,
+        "process": 54,
         "events": 38,
         "configuration": 55,
-        "drive": 592,
-        "mailbox": 66,
+        "drive": 652,
+        "mailbox": 70,
         "examples": 0,
-        "sdo": 94,
-        "transfers": 113,
-        "complete": 54,
+        "sdo": 105,
+        "named": 6,
+        "transfers": 115,
+        "complete": 56,
         "server": 180,
         "information": 46,
         "families": 491,
-        "quick": 2506,
-        "default": 2557,
+        "quick": 2638,
+        "default": 2691,
     },
 }
 """Cases of each generator and of a quick run: a change of a text changes them knowingly."""
@@ -155,6 +165,26 @@ NOT_FIRED = {
     "preop_to_safeop_held": "the condition own_reasons is assumed false",
     "safeop_to_op_held": "the condition own_reasons is assumed false",
     "safeop_to_op_refused": "the device might have had a reason of its own",
+    "boot_mailbox_found_wrong": "no BOOT",
+    "boot_mailbox_taken_away": "no BOOT",
+    "boot_mailbox_unchanged": "no BOOT",
+    "mailbox_found_wrong": "the condition mailbox_checked is assumed false",
+    "process_data_found_wrong": "the condition process_data_checked is assumed false",
+    **dict.fromkeys(
+        (
+            "copied_boot",
+            "copied_down",
+            "copied_no_state",
+            "copied_op",
+            "copied_op_on",
+            "copied_preop",
+            "copied_safeop",
+            "copied_safeop_on",
+            "sync_lost_without_controller",
+            "watchdog_without_controller",
+        ),
+        "the device has a controller; tests of a terminal go by them",
+    ),
 }
 WITHOUT_PROCESS_DATA = {"process_data_taken_away", "watchdog_in_op", "preop_to_safeop_refused"}
 """Rules that need process data."""
@@ -207,12 +237,16 @@ def test_the_number_of_cases(device: str) -> None:
 def test_names_are_unique_and_start_with_the_layer(device: str, mailbox: str) -> None:
     cases = cases_of(device, mailbox=mailbox)
     machines = model_of(device).protocol.machines
+    standard = load("standard").machines
     assert len({case.name for case in cases}) == len(cases)
     for case in cases:
         assert case.name.startswith(f"{case.layer}/")
         assert case.layer in machines
         assert 0 <= case.prelude < len(case.stimuli)
         assert case.flag in {"", *NOTES}
+        machine, _, rule = case.about.partition(".")
+        rules = standard[machine].rules if machine else ()
+        assert not machine or rule in {rule.name for rule in rules}
 
 
 @each_of(["reference", "reference-drive"])
@@ -275,7 +309,7 @@ def test_the_transition_cover_fires_every_rule_of_al(device: str) -> None:
     fired = {rule.name for rule in runner.rules if rule.machine == "al"}
     rules = {rule.name for rule in model.protocol.machines["al"].rules}
     without = set() if has_process_data(model) else WITHOUT_PROCESS_DATA
-    assert rules - fired == set(NOT_FIRED) | OTHER_WAY[device] | without
+    assert rules - fired == (set(NOT_FIRED) & rules) | OTHER_WAY[device] | without
 
 
 # --- what the cases fire in devices of every kind -------------------------------------------------
@@ -295,6 +329,7 @@ TOGETHER: tuple[dict[str, str | bool], ...] = (
     {"partial_refused": True, "odd_aborted": True, "unclear_answered": True},
     {"short_abort_unheard": False, "odd_aborted": True},
     {"inexact_taken": True, "value_accepted": False},
+    {"bootstrap": "supported", "refused_in_boot": False},
 )
 """Points that matter only together."""
 

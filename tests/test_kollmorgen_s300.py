@@ -79,6 +79,7 @@ def test_areas(s300: Protocol) -> None:
 
 def test_pins(s300: Protocol) -> None:
     assert {name: pin.alternative for name, pin in s300.pins.items()} == {
+        "application_bits": "used",
         "bootstrap": "supported",
         "drive_coupling": "coupled",
         "emulation": "none",

@@ -1190,6 +1190,8 @@ def entries(draw: st.DrawFn) -> ObjectEntry:
         constant=draw(st.booleans()),
         volatile=draw(st.booleans()),
         mappable=draw(st.booleans()),
+        stored=draw(st.booleans()),
+        guarded=draw(st.booleans()),
         maps=draw(st.none() | numbers),
         states=draw(many(names)),
         low=None if limits is None else limits[0],

@@ -29,6 +29,64 @@ SLIPS = (
     ("if (length != object->size)", "if (length > object->size)"),
 )
 """What somebody may have written in application.c."""
+OTHER_WAYS = (
+    (
+        "slave.c",
+        "    slave->events = esc_events(slave->esc);\n",
+        """
+    static int up;
+    uint8_t link[2], eeprom[2];
+    if (!up) {    /* the PDI works, its watchdog is fine, a link at port 0, the EEPROM is loaded */
+        esc_read(slave->esc, 0x0110, link, sizeof link);
+        esc_read(slave->esc, 0x0502, eeprom, sizeof eeprom);
+        up = (link[0] & 0x13) == 0x13 && (link[1] & 0x02) && !(eeprom[1] & 0xB8);
+        return;
+    }
+    slave->events = esc_events(slave->esc);
+    esc_read(slave->esc, 0x1C00, NULL, 0);
+    esc_write(slave->esc, 0xFFFF, NULL, 0);
+""",
+    ),
+    (
+        "esc.c",
+        """    uint8_t status;
+    esc_read(slave->esc, manager(MAIL_IN, AT_STATUS), &status, 1);
+    return !(status & FULL);
+""",
+        """    uint8_t status, nothing = 0;
+    esc_read(slave->esc, manager(MAIL_IN, AT_STATUS), &status, 1);
+    if (!(status & 0x02) || !(esc_events(slave->esc) & EVENT_MANAGER_0 << MAIL_IN)) {
+        return 0;
+    }
+    esc_write(slave->esc, MAILBOX_IN_START, &nothing, 1);    /* the event has been seen */
+    return 1;
+""",
+    ),
+    (
+        "esc.c",
+        "    esc_write(slave->esc, MAILBOX_IN_START, message, MAILBOX_IN_LENGTH);\n",
+        """    uint8_t nothing = 0;
+    esc_write(slave->esc, MAILBOX_IN_START, message, MAILBOX_IN_LENGTH);
+    esc_write(slave->esc, MAILBOX_IN_START, &nothing, 1);    /* too late: it is full */
+""",
+    ),
+    (
+        "mailbox.c",
+        """    if (mailbox->unread && esc_mail_read(slave)) {
+        mailbox->unread = 0;
+""",
+        """    if (esc_mail_read(slave)) {
+        if (!mailbox->unread) {    /* nothing was written, so nothing can have been read */
+            abort();
+        }
+        mailbox->unread = 0;
+""",
+    ),
+    ("mailbox.c", "#include <string.h>\n", "#include <stdlib.h>\n#include <string.h>\n"),
+)
+"""A stack that goes by what a chip shows: it waits until the chip is up, learns from the event of a
+read that it may repeat a reply, acknowledges the event by the first byte of the mailbox, and relies
+on it that a full mailbox takes nothing."""
 
 
 def thermostat(folder: Path, *arguments: str, sources: Path = EXAMPLE) -> str:
@@ -57,15 +115,30 @@ def test_the_kit_has_no_complaint(tmp_path: Path) -> None:
     assert complaints == []
 
 
+def test_a_stack_that_goes_by_the_events_of_a_chip_conforms(tmp_path: Path) -> None:
+    for folder in (EXAMPLE, SOURCES):
+        shutil.copytree(folder, tmp_path / folder.name)
+    for file, one, other in OTHER_WAYS:
+        written_otherwise(tmp_path / "c_slave" / file, one, other)
+    dut = thermostat(tmp_path, sources=tmp_path / "c_level_b")
+    result = run_device(DEVICE, dut, depth="quick", only=("al", "mailbox", "sdo"))
+    odd = [v for v in result.verdicts if v.outcome not in {Outcome.PASS, Outcome.SKIPPED}]
+    assert not odd
+    assert {"sdo.value_taken", "mailbox.repeated"} <= set(result.rules_covered)
+
+
+def written_otherwise(file: Path, one: str, other: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert one in text
+    file.write_text(text.replace(one, other), encoding="utf-8")
+
+
 @pytest.mark.parametrize(("right", "wrong"), SLIPS)
 def test_a_slip_of_the_application_is_found(right: str, wrong: str, tmp_path: Path) -> None:
     sources = tmp_path / "c_level_b"
     shutil.copytree(EXAMPLE, sources)
     (tmp_path / "c_slave").symlink_to(SOURCES)
-    application = sources / "application.c"
-    text = application.read_text(encoding="utf-8")
-    assert right in text
-    application.write_text(text.replace(right, wrong), encoding="utf-8")
+    written_otherwise(sources / "application.c", right, wrong)
     adapter = open_adapter(thermostat(tmp_path, sources=sources), DEVICE)
     try:
         runner = Runner(Model(load(DEVICE)), adapter, adapter.describe())

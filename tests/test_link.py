@@ -387,7 +387,7 @@ def test_the_image_of_a_drive_in_full() -> None:
 def test_the_texts_of_the_link_stand_alone() -> None:
     files = sorted((ROOT / "spec" / "link").glob("*.ecs"))
     protocol = compile_texts([parse_text(f.read_text("utf-8"), str(f)) for f in files], "standard")
-    assert (len(protocol.clauses), len(protocol.registers), len(protocol.frames)) == (20, 30, 8)
+    assert (len(protocol.clauses), len(protocol.registers), len(protocol.frames)) == (21, 30, 8)
     link = load_link()
     assert link.registers == protocol.registers
     standard = load_device("standard")

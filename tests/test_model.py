@@ -17,13 +17,13 @@ from ecatspec.generators.play import play
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.transfers import download
 from ecatspec.model.compiled import Model
-from ecatspec.model.esc import Channel, Esc, field_of
+from ecatspec.model.esc import Esc, field_of
 from ecatspec.model.evaluate import Environment, compile_expression
 from ecatspec.model.functions import PLAIN
 from ecatspec.model.interpreter import step
 from ecatspec.model.process_image import OUTPUTS
 from ecatspec.model.state import Event
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.subdevice import Quirk, VirtualSubDevice
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
 from ecatspec.model.words import typed_words
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, Literal, Name, SInt, Unary
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from ecatspec.generators.case import Stimulus
+    from ecatspec.model.buffers import Buffers
     from ecatspec.model.codec import Message
     from ecatspec.spec.language.ir import FrameField
 
@@ -563,7 +564,9 @@ def test_the_virtual_drive_answers_as_its_manual_prints(example: object) -> None
 class Client:
     """A small SDO client over the two mailboxes of a virtual SubDevice."""
 
-    def __init__(self, out: int = 128, into: int = 128) -> None:
+    def __init__(
+        self, out: int = 128, into: int = 128, quirks: frozenset[Quirk] = frozenset()
+    ) -> None:
         start = 0x1000
         protocol = replace(
             REFERENCE,
@@ -576,7 +579,7 @@ class Client:
                 )
             },
         )
-        self.device = VirtualSubDevice(protocol)
+        self.device = VirtualSubDevice(protocol, quirks=quirks)
         self.model = self.device.model
         self.out, self.into = (start, out), (start + out, into)
         self.counter = 0
@@ -695,6 +698,16 @@ def test_a_message_is_repeated_before_what_is_unread() -> None:
     assert client.receive() is None
 
 
+def test_a_faulty_device_puts_a_reply_in_the_place_of_an_unread_one() -> None:
+    client = Client(quirks=frozenset({Quirk.OVERWRITES}))
+    for index in (0x2000, 0x2001):
+        assert client.send("sdo_upload_request", {"index": index, "subindex": 0}) == 1
+    reply = client.receive()
+    assert reply is not None
+    assert reply.fields["index"] == 0x2001
+    assert client.receive() is None
+
+
 def test_an_emergency_waits_behind_a_reply_and_takes_the_next_counter() -> None:
     client = Client()
     assert client.send("sdo_upload_request", {"index": 0x2000, "subindex": 0}) == 1
@@ -755,6 +768,12 @@ def esc_with_mailboxes() -> Esc:
     return esc
 
 
+def mailbox(esc: Esc, name: str) -> Buffers:
+    found = esc.mailbox(name)
+    assert found is not None
+    return found
+
+
 OUT = MODEL.parameter("mailbox_out", "start"), MODEL.parameter("mailbox_out", "length")
 IN = MODEL.parameter("mailbox_in", "start"), MODEL.parameter("mailbox_in", "length")
 
@@ -763,9 +782,7 @@ def test_a_full_mailbox_refuses_a_write_until_the_device_reads() -> None:
     esc = esc_with_mailboxes()
     first, second = bytes([1]) * OUT[1], bytes([2]) * OUT[1]
     assert esc.main_write(OUT[0], first) == 1
-    assert esc.channel("sync_manager_0") == Channel(
-        "sync_manager_0", *OUT, main_writes=True, full=True
-    )
+    assert mailbox(esc, "sync_manager_0").full
     assert esc.main_write(OUT[0], second) == 0
     assert esc.pdi_read(*OUT) == first
     assert esc.main_write(OUT[0], second) == 1
@@ -775,13 +792,9 @@ def test_a_full_mailbox_refuses_a_write_until_the_device_reads() -> None:
 def test_a_write_that_does_not_reach_the_end_does_not_fill() -> None:
     esc = esc_with_mailboxes()
     assert esc.main_write(OUT[0], b"\1") == 1
-    assert esc.channel("sync_manager_0") == Channel(
-        "sync_manager_0", *OUT, main_writes=True, full=False
-    )
+    assert not mailbox(esc, "sync_manager_0").full
     assert esc.main_write(OUT[0] + OUT[1] - 1, b"\1") == 1
-    assert esc.channel("sync_manager_0") == Channel(
-        "sync_manager_0", *OUT, main_writes=True, full=True
-    )
+    assert mailbox(esc, "sync_manager_0").full
 
 
 def test_a_read_empties_the_mailbox_and_an_empty_one_has_nothing() -> None:
@@ -817,7 +830,7 @@ def test_a_disabled_sync_manager_leaves_plain_memory() -> None:
     for name in ("sync_manager_0", "sync_manager_1"):
         off = WriteRegister(f"{name}_activation", {"enabled": 0})
         assert esc.main_write(*register_bytes(MODEL, off)) == 1
-        assert esc.channel(name) is None
+        assert esc.mailbox(name) is None
     assert esc.settings_changed
     assert esc.register("sync_manager_1_status") == 0
     for _ in range(2):

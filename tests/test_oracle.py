@@ -371,8 +371,8 @@ class _Stuck(VirtualSubDevice):
     taken = 0
 
     def write(self, address: int, data: bytes) -> int:
-        mailbox = self.esc.channel(SYNC_MANAGERS[0])
-        if mailbox is not None and address == mailbox.start:
+        mailbox = self.esc.mailbox(SYNC_MANAGERS[0])
+        if mailbox is not None and address == mailbox.channel.start:
             if self.taken and self.left > 0:
                 return 0
             self.taken += 1
@@ -817,7 +817,7 @@ class Busy(VirtualSubDevice):
         super().advance(seconds)
 
     def _serve_mailbox(self) -> None:
-        inbox, outbox = (self.esc.channel(name) for name in SYNC_MANAGERS)
+        inbox, outbox = (self.esc.mailbox(name) for name in SYNC_MANAGERS)
         if inbox is None or outbox is None:
             self._unread, self._came, self._due = None, None, ()
             return
@@ -828,14 +828,17 @@ class Busy(VirtualSubDevice):
         crowded = outbox.full or bool(self._queue)
         ready = self._came is not None and self._now >= self._came + self.take
         if inbox.full and ready and (self.eager or self.refuses or not crowded):
-            message = self.model.decode(self.esc.pdi_read(inbox.start, inbox.length))
+            message = self.model.decode(
+                self.esc.pdi_read(inbox.channel.start, inbox.channel.length)
+            )
             self._came = None
             if message is not None:
                 self._served_one(message, crowded=crowded)
         if self._queue and not outbox.full and self._now >= self._due[0]:
             self._due = self._due[1:]
             self._unread = self._queue.pop(0)
-            self.esc.pdi_write(outbox.start, self._unread.ljust(outbox.length, b"\0"))
+            area = outbox.channel
+            self.esc.pdi_write(area.start, self._unread.ljust(area.length, b"\0"))
 
     def _served_one(self, message: Message, *, crowded: bool) -> None:
         if crowded and self.refuses:
@@ -1154,3 +1157,15 @@ def test_a_reply_that_is_due_is_missed_however_often_its_mailbox_was_empty() -> 
     assert found[:2] == [None, None]
     assert found[2] is not None
     assert found[2].observed.startswith("mailbox empty")
+
+
+def test_looks_that_tell_nothing_are_not_remembered_without_end() -> None:
+    model = judge_of(STANDARD)
+    oracle = Oracle(model)
+    oracle.power_on(SHAPE)
+    status = model.protocol.registers["al_status"]
+    init = Exchange(0, False, status.address, (1).to_bytes(status.size, "little"), 1)  # noqa: FBT003
+    assert oracle.observe(init) is None
+    for time in range(3000):  # a clock of the controller, of which the texts say nothing
+        assert oracle.observe(Exchange(time, False, 0x0910, time.to_bytes(4, "little"), 1)) is None  # noqa: FBT003
+    assert len(oracle._idle) <= 1024  # noqa: SLF001

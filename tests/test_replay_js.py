@@ -21,6 +21,8 @@ from ecatspec.conformance.vectors.export import Wanted, export
 from ecatspec.conformance.vectors.replay import Player
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.vectors import Vectors
+from ecatspec.model.compiled import Model
+from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -485,3 +487,40 @@ def test_a_bad_file_is_one_line(tmp_path: Path, was: str, now: str, reason: str)
 def test_a_file_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     result = replayed(tmp_path / "vectors.json", "false")
     assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+
+
+TALKING = """
+import json, sys
+back, told = int(sys.argv[1]), bytes.fromhex(sys.argv[2])
+name = {"name": "talking", "protocols": ["sdo"], "virtual_time": True, "closed_dictionary": True}
+for line in sys.stdin:
+    call = json.loads(line)
+    answer = {"ok": True}
+    if call["op"] == "describe":
+        answer["description"] = name
+    if call["op"] == "read":
+        data = told if call["address"] == back else bytes([255] * call["length"])
+        answer.update(wkc=1, data=data.ljust(call["length"], b"\\0").hex())
+    if call["op"] == "close":
+        break
+    print(json.dumps(answer), flush=True)
+"""
+
+
+def test_messages_without_end_end_a_test(tmp_path: Path) -> None:
+    """A device that tells one emergency after the other, and never answers."""
+    made = some(1, "mailbox")
+    allowed = {"value": "0a00000000f3", "mask": "ff00000000ff"}
+    (test,) = made["testGroups"][0]["tests"]
+    test["steps"] = [{"expect": [{"kind": "mail", "symbol": "reply", "anyOf": [allowed]}]}]
+    test["requires"] = False
+    made["config"]["passOver"] = [{"value": "0a0000000003", "mask": "ffff0000000f"}]
+    told = Model(load_device("reference")).codec.encode(
+        "emergency",
+        {"counter": 1, "error_code": 0x1000, "error_register": 0, "manufacturer": bytes(5)},
+    )
+    program = tmp_path / "talking.py"
+    program.write_text(TALKING, encoding="utf-8")
+    back = str(made["config"]["mailboxIn"]["address"])
+    done = replayed(written(tmp_path, made), sys.executable, str(program), back, told.hex())
+    assert "1 ended early" in done.stdout, done.stdout + done.stderr

@@ -273,6 +273,20 @@ def test_nothing_judged_is_no_success() -> None:
     assert judged(ALL)
 
 
+def test_what_was_not_shown_is_no_success() -> None:
+    inconclusive = replace(PASS, outcome=Outcome.INCONCLUSIVE, reason="needs AL state OP, why")
+    missing = replace(result(PASS, inconclusive), unreached=("OP",))
+    assert not missing.conforms
+    assert "  NOT SHOWN: OP was never reached (needs AL state OP, why)" in text(missing)
+    data = json.loads(REPORTS["json"]((missing,), PROTOCOL))
+    assert (data["conforms"], data["results"][0]["conclusion"]) == (False, "not shown")
+    assert data["results"][0]["unreached"] == ["OP"]
+    assert "Not shown: OP was never reached" in REPORTS["html"]((missing,), PROTOCOL)
+    # what blames the device goes first, and an interrupted run was not done
+    assert "DOES NOT CONFORM" in text(replace(missing, verdicts=(FAIL,)))
+    assert "conforms (interrupted" in text(replace(missing, interrupted=True))
+
+
 def test_an_interrupted_run_says_so() -> None:
     assert "conforms (interrupted" in text(replace(result(PASS), interrupted=True))
 

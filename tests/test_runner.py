@@ -20,7 +20,7 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.devices import UserError
 from ecatspec.conformance.runner import Runner, run_device
 from ecatspec.conformance.session import Deviation
-from ecatspec.conformance.verdict import Outcome, Verdict
+from ecatspec.conformance.verdict import BLAMING, Outcome, Verdict
 from ecatspec.generators.bringup import request, way_to
 from ecatspec.generators.case import NO_LIMITS, Case, Happen, Probe, WriteOutputs
 from ecatspec.generators.suite import all_cases
@@ -29,8 +29,9 @@ from ecatspec.generators.transfers import upload
 from ecatspec.model.compiled import Model
 from ecatspec.model.state import RuleName
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.spec.language.ir import Pin
-from ecatspec.spec.language.load import load_device
+from ecatspec.spec.language.ir import Fault, Pin
+from ecatspec.spec.language.load import load_device, plant
+from ecatspec.spec.language.parse import parse_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -420,6 +421,29 @@ def test_in_virtual_time_looks_are_where_something_must_have_happened() -> None:
     assert "DRV-16" in found.value.mismatch.clauses
 
 
+NEVER_UP = """
+faults never_up "a device that is never where cases need it"
+
+fault never_up "SAFEOP is always refused, for a reason of the device's own" [AL-11]
+  remove rule al.preop_to_safeop [AL-11]
+  replace rule al.preop_to_safeop_held [AL-11]
+    when   heard and requested == SAFEOP and not outputs_wrong and not inputs_wrong
+"""
+
+
+def test_the_states_that_were_never_reached_are_known() -> None:
+    sound = load_device("reference-drive")
+    (never,) = (d for d in parse_text(NEVER_UP, "x").declarations if isinstance(d, Fault))
+    for protocol, unreached in ((sound, ()), (plant(sound, never), ("SAFEOP", "OP"))):
+        adapter = VirtualAdapter(VirtualSubDevice(protocol), described(protocol))
+        runner = Runner(Model(sound), adapter, adapter.describe())
+        named = ("process_data/op_with_outputs", "process_data/disabled_sync_manager_2/OP")
+        cases = [c for c in all_cases(runner.model, NO_LIMITS, "quick") if c.name in named]
+        runner.run(cases, None, len(cases))
+        assert runner.unreached() == unreached
+        assert not any(verdict.outcome in BLAMING for verdict in runner.verdicts)
+
+
 def test_a_choice_that_nothing_tells_is_kept_in_mind() -> None:
     adapter = make(DEVICE, {})
     runner = Runner(MODEL, adapter, adapter.describe())
@@ -452,7 +476,7 @@ def test_a_suite_is_asked_for_with_what_the_device_showed(monkeypatch: pytest.Mo
     ((model, limits, events, ways, depth),) = asked
     assert (model, limits) == (runner.model, runner_module.limits_of(description))
     assert (events, depth) == ({"ds402.fault"}, "exhaustive")
-    assert ways == {**runner_module.SHAPE, "refused_in_op": "stay"}
+    assert ways == {**runner_module.shape_of(MODEL.protocol), "refused_in_op": "stay"}
 
 
 def test_a_long_run_shortens_each_cause_once() -> None:

@@ -173,6 +173,20 @@ def test_a_fault_is_found_and_told(device: str, fault: str, clause: str, observe
         session.apply(stimulus)
 
 
+@pytest.mark.parametrize("fault", ["outputs_unchecked", "inputs_unchecked"])
+def test_settings_that_are_not_checked_are_found_soon(fault: str) -> None:
+    machine = state_machine(DEVICE, lambda: make(DEVICE, {"fault": fault}))
+    search = settings(
+        machine.TestCase.settings,
+        max_examples=100,
+        stateful_step_count=15,
+        derandomize=True,
+        database=None,
+    )
+    with pytest.raises(AssertionError, match="SAFEOP"):
+        run_state_machine_as_test(machine, settings=search)
+
+
 class Mortal(VirtualAdapter):
     """A device that dies of the second message of its life."""
 

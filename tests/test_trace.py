@@ -145,14 +145,14 @@ def test_what_stimuli_touch(model: Model) -> None:
 
 def test_each_clause_stands_as_it_should(traced: Trace) -> None:
     assert by_id(traced) == {
-        "MINE-C1": Standing.EXERCISED,  # by the rule of the record, which asks for the choice
-        "MINE-C2": Standing.EXERCISED,  # by cases that read the object
+        "MINE-C1": Standing.ROW_ONLY,  # the rule of the record asks for the choice
+        "MINE-C2": Standing.ROW_ONLY,  # cases read the object
         "MINE-C3": Standing.UNOBSERVABLE,
         "MINE-C4": Standing.REASONED,
         "MINE-C5": Standing.DATA,
         "MINE-C6": Standing.MISSING,
     }
-    assert [row.clause.id for row in traced.missing] == ["MINE-C6"]
+    assert [row.clause.id for row in traced.missing] == ["MINE-C1", "MINE-C2", "MINE-C6"]
     assert len(traced.claims) == 7
     assert set(traced.standing_of_claims()) == set(traced.claims)
 
@@ -161,7 +161,7 @@ def test_without_a_run_no_rule_counts(model: Model) -> None:
     trace = trace_device(model, None)
     standing = by_id(trace)
     assert standing["MINE-C1"] is Standing.MISSING
-    assert standing["MINE-C2"] is Standing.EXERCISED
+    assert standing["MINE-C2"] is Standing.ROW_ONLY
     assert {row.verdict for row in trace.rows} == {"", "not run"}
 
 
@@ -177,7 +177,7 @@ def test_totals_count_each_claim_once(traced: Trace) -> None:
     assert [row["device"] for row in rows] == ["mine", "mine", "all"]
     assert [row["claims"] for row in rows] == [7, 7, 14]
     assert [row["accounted"] for row in rows] == [7, 7, 14]
-    assert [row["exercised"] for row in rows] == [3, 3, 6]
+    assert [row["row only"] for row in rows] == [3, 3, 6]
     assert [row["anomalies"] for row in rows] == [1, 1, 1]  # the same one
 
 
@@ -316,8 +316,17 @@ def test_reqif_reads_back(traced: Trace, tmp_path: Path) -> None:
     assert children == [o.identifier for o in content.spec_objects]
 
 
+def test_what_a_rule_carries_is_told_from_what_is_only_looked_up(mine: Path) -> None:
+    rule = "confirm rule al.unknown_state_stays [MINE-C1]"
+    mine.with_name("ruled.ecs").write_text(TEXT.replace("esi\n", f"{rule}\n\nesi\n"))
+    model = Model(load_file(str(mine.with_name("ruled.ecs"))))
+    trace = trace_device(model, ran(model, "al.unknown_state_stays", Outcome.PASS))
+    assert by_id(trace)["MINE-C1"] is Standing.EXERCISED
+
+
 def test_the_sheet_tells_why_nothing_exercises(traced: Trace) -> None:
     rows = {row[0]: row for row in clause_sheet(traced, traced.rows).rows}
     assert rows["MINE-C4"][5] == ("not exercised, with the reason: needs a motor",)
     assert rows["MINE-C3"][5] == ("not observable through the protocol: not in it",)
+    assert rows["MINE-C2"][5] == ("row only",)
     assert rows["MINE-C1"][4] == ("pin refused_in_op",)

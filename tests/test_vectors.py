@@ -18,6 +18,7 @@ import msgspec
 import pytest
 from c_device import SOURCES, TEXT, WHERE, sanitizes
 
+from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import UserError, going, load
 from ecatspec.conformance.guard import Guarded
@@ -27,9 +28,18 @@ from ecatspec.conformance.vectors.export import OTHER_WAYS, Wanted, export
 from ecatspec.conformance.vectors.replay import Player
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS
-from ecatspec.generators.formats import c_format
+from ecatspec.generators.formats import FORMATS, c_format
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.vectors import CONFIGURATION, Full, Mail, Read, Vectors
+from ecatspec.generators.vectors import (
+    CONFIGURATION,
+    Allowed,
+    Full,
+    Head,
+    Mail,
+    Read,
+    Step,
+    Vectors,
+)
 from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import device_names, load_device
@@ -290,3 +300,98 @@ def test_the_runner_in_c_is_small_and_stays_in_its_bounds(
     safe = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     done = build(tmp_path_factory.mktemp("sanitized"), "NONE", *safe)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- a device that never comes to the answer ------------------------------------------------------
+
+
+class Talking:
+    """A device whose mailbox has one emergency after the other."""
+
+    def __init__(self, head: Vectors, told: bytes) -> None:
+        self.back, self.told = head.config.mailboxIn.address, told
+
+    def reset(self) -> None:
+        pass
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        told = self.told if address == self.back else b"\xff"
+        return 1, told.ljust(length, b"\0")
+
+    def write(self, address: int, data: bytes) -> int:
+        raise NotImplementedError
+
+    def advance(self, seconds: float) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    def describe(self) -> Description:
+        return Description("talking", frozenset({"sdo"}), virtual_time=True, closed_dictionary=True)
+
+
+def waiting() -> tuple[Vectors, bytes]:
+    """Give a file with one test, which waits for a reply, and an emergency."""
+    found = vectors(PLAIN, ("mailbox",), 10)
+    mail = Mail([Allowed("0a00000000f3", "ff00000000ff")], "reply", none="passes")
+    test = msgspec.structs.replace(found.testGroups[0].tests[0], steps=[Step(expect=[mail])])
+    test = msgspec.structs.replace(test, tcId=1, requires=False)
+    only = msgspec.structs.replace(found.testGroups[0], tests=[test])
+    fields: dict[str, int | bytes] = {"counter": 1, "error_code": 0x1000, "error_register": 0}
+    fields["manufacturer"] = bytes(5)
+    told = Model(load_device(PLAIN)).codec.encode("emergency", fields)
+    assert any(unasked.admits(told) for unasked in found.config.passOver)
+    return msgspec.structs.replace(found, numberOfTests=1, testGroups=[only]), told
+
+
+def test_messages_without_end_end_a_test_and_are_no_verdict() -> None:
+    found, told = waiting()
+    device = Talking(found, told)
+    verdict = Player(found, device, device.describe(), lambda symbol, _: symbol).judge(
+        found.testGroups[0].tests[0]
+    )
+    assert verdict.outcome is Outcome.INCONCLUSIVE
+    assert verdict.reason == "sends messages without end in step 1: 64 that nobody asked for"
+
+
+TALKING = """
+#include <stdio.h>
+#include "vectors.h"
+static const uint8_t told[] = { @TOLD@ };
+static void reset(void *context) { (void)context; }
+static int get(void *context, uint16_t address, uint8_t *data, size_t length)
+{
+    (void)context;
+    memset(data, address == ECATSPEC_IN_ADDRESS ? 0 : 255, length);
+    if (address == ECATSPEC_IN_ADDRESS) memcpy(data, told, sizeof told);
+    return 1;
+}
+static int put(void *context, uint16_t address, const uint8_t *data, size_t length)
+{
+    (void)context, (void)address, (void)data, (void)length;
+    return 1;
+}
+static void advance(void *context, uint32_t us) { (void)context, (void)us; }
+int main(void)
+{
+    struct ecatspec_target target = { NULL, reset, get, put, advance, NULL };
+    return ecatspec_run(&target, 0).outcome == ECATSPEC_ENDED ? 0 : 1;
+}
+"""
+
+
+def test_messages_without_end_end_a_test_of_the_runner_in_c(tmp_path: Path) -> None:
+    if COMPILER is None:
+        pytest.skip("there is no C compiler")
+    found, told = waiting()
+    file = io.BytesIO()
+    head = Head(**{name: getattr(found, name) for name in Head.__struct_fields__})
+    tests = [(group.type, test) for group in found.testGroups for test in group.tests]
+    FORMATS["c"].write(head, iter(tests), file)
+    (tmp_path / "vectors.h").write_bytes(file.getvalue())
+    source = TALKING.replace("@TOLD@", ", ".join(map(str, told)))
+    (tmp_path / "main.c").write_text(source, encoding="utf-8")
+    program = str(tmp_path / "main")
+    subprocess.run([str(COMPILER), "-std=c99", str(tmp_path / "main.c"), "-o", program], check=True)
+    assert subprocess.run([program], timeout=60, check=False).returncode == 0

@@ -29,6 +29,7 @@ from ecatspec.generators.case import (
     Happen,
     Limits,
     Probe,
+    ReadInitial,
     Repeat,
     SendFrame,
     SetUpProcessData,
@@ -37,6 +38,7 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
     WriteRegisters,
+    WriteUntilTaken,
 )
 from ecatspec.generators.family_cover import family_cover
 from ecatspec.generators.ground import ground
@@ -125,7 +127,8 @@ def test_a_walk_of_negative_numbers_is_refused(seed: int, steps: int) -> None:
 
 def test_walks_do_all_that_there_is_to_do() -> None:
     stimuli = [s for seed in range(60) for s in walked("reference-drive", seed).stimuli]
-    assert {type(stimulus) for stimulus in stimuli} == set(get_args(Stimulus))
+    looks = {ReadInitial, WriteUntilTaken}  # what these tell depends on what was before
+    assert {type(stimulus) for stimulus in stimuli} == set(get_args(Stimulus)) - looks
     assert {s.event for s in stimuli if isinstance(s, Happen)} == events("reference-drive")
     frames = {s.frame for s in stimuli if isinstance(s, SendFrame)}
     assert {"sdo_download_expedited", "sdo_download_normal", "sdo_download_segment"} <= frames
@@ -136,7 +139,7 @@ def test_walks_do_all_that_there_is_to_do() -> None:
 def test_walks_take_mailboxes_away_in_every_state_and_write_all_objects() -> None:
     model = model_of("reference-drive")
     asked = set()
-    for seed in range(60):
+    for seed in range(180):
         last = model.row("al_state", "INIT")
         for stimulus in walked("reference-drive", seed).stimuli:
             match stimulus:

@@ -265,10 +265,10 @@ ROWS: Final[Mapping[str, Mapping[str, Row]]] = {
         "fragments_left": number("sdoinfofrag"),
         "information": PARTS,
     },
-    "information_list_request": {"list_type": number("sdoinfolisttype")},
+    "information_list_request": {"list_type": number("sdoinfolisttype"), "excess": NO_EXCESS},
     # The first fragment has the type of the list before the indexes; Wireshark takes each for it.
     "information_list": {"value": raw("sdoinfolisttype", "sdoinfolist")},
-    "information_object_request": {"index": INFO_INDEX},
+    "information_object_request": {"index": INFO_INDEX, "excess": NO_EXCESS},
     "information_object": {
         "index": INFO_INDEX,
         "data_type": number("sdoinfodatatype"),
@@ -280,6 +280,7 @@ ROWS: Final[Mapping[str, Mapping[str, Row]]] = {
         "index": INFO_INDEX,
         "subindex": number("sdoinfosubindex"),
         "value_info": number("sdoinfovalueinfo"),
+        "excess": NO_EXCESS,
     },
     "information_entry": {
         "index": INFO_INDEX,

@@ -49,8 +49,10 @@ struct ecatspec_device {
 
 /* What a stack is given: the ESC as the processor of a device sees it. Reading and writing has the
  * effects that it has in a chip: reading AL Control frees it for the MainDevice, reading the activation
- * of a SyncManager clears the event of changed settings, the last byte of a mailbox hands it over.
- * An access beyond the memory of the ESC counts as a crash of the stack. */
+ * of a SyncManager clears the event of changed settings, the first byte of a mailbox clears its event,
+ * the last byte hands it over. What a chip refuses (a write to a full mailbox, the wrong direction) has
+ * no effect; a read gives zeros then. An access of no bytes does nothing. An access beyond the memory of
+ * the ESC counts as a crash of the stack. */
 struct ecatspec_esc {
     void *context;
     void (*pdi_read)(void *context, uint16_t address, void *data, size_t length);

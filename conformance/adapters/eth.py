@@ -231,7 +231,7 @@ class WireAdapter:
         control = self._protocol.registers["al_control"]
         mask = field_mask(self._protocol, control.name, "acknowledge")
         self._set(control, control.reset | mask)
-        limit = self._model.parameter("init_timeout") / _MICROSECONDS
+        limit = self._model.parameter("back_timeout") / _MICROSECONDS
         self._await_init(limit)
         managers = (*SYNC_MANAGERS, *PROCESS_DATA)
         first = [f"{name}_activation" for name in managers]  # only then can the rest be written

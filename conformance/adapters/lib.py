@@ -239,6 +239,8 @@ class BareStack:
         self, dut: _Dut, description: Description, protocol: Protocol, poll: str | None
     ) -> None:
         from ecatspec.model.bare import POLL, BareSubDevice
+        from ecatspec.model.link import linked
+        from ecatspec.spec.language.load import load_link
 
         self._functions = functions = dut.stack.contents
         self._description = description
@@ -250,7 +252,8 @@ class BareStack:
             _AL_EVENT(lambda _: self._esc.al_event()),
         )
         microseconds = POLL if poll is None else _microseconds(poll)
-        self._bare = BareSubDevice(protocol, self, microseconds)
+        # a stack looks at more of the chip than a suite judges
+        self._bare = BareSubDevice(linked(protocol, load_link()), self, microseconds)
         self._stack: int | None = _created(functions.create(ctypes.byref(self._hooks)))
         self._poll = functions.poll
         self.reset()
@@ -288,7 +291,7 @@ class BareStack:
         return call
 
     def _within(self, address: int, length: int) -> None:
-        if not 0 < length <= self._esc.size - address:
+        if not 0 <= length <= self._esc.size - address:
             raise _Overrun(f"{length} bytes at {address:#06x} are not in the memory of the ESC")
 
     def _pdi_read(self, address: int, data: int, length: int) -> None:

@@ -29,7 +29,7 @@ from ecatspec.generators.complete.machines import (
     sdo_setup,
 )
 from ecatspec.generators.drive_cover import STATUS
-from ecatspec.model.buffers import ThreeBuffers
+from ecatspec.model.buffers import Buffers
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.interpreter import expected_fields, step
@@ -172,7 +172,7 @@ def _copied(thing: _T) -> _T:
     for name, value in vars(thing).items():
         kind = type(value)
         if kind is dict:
-            alive = {k: _copied(v) for k, v in value.items() if isinstance(v, ThreeBuffers)}
+            alive = {k: _copied(v) for k, v in value.items() if isinstance(v, Buffers)}
             own[name] = value | alive
         elif kind is list:
             own[name] = [v.copy() if isinstance(v, bytearray) else v for v in value]

@@ -13,7 +13,7 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import going
 from ecatspec.conformance.diff.machines import SDO
 from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.session import Deviation, Session
+from ecatspec.conformance.session import Deviation, InconclusiveError, Session
 from ecatspec.generators.drive_cover import STATUS
 from ecatspec.generators.token import to_data
 from ecatspec.model.compiled import Model
@@ -90,6 +90,9 @@ class _Bench:
                 session.apply(stimulus)
         except Deviation as deviation:
             yield f"its own text does not allow it: {deviation.mismatch.observed}"
+            return
+        except InconclusiveError as unclear:
+            yield str(unclear)
             return
         seen = self._answers() if machine == SDO else self._shown(session)
         for part in parts:

@@ -11,7 +11,7 @@ import pytest
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
 from ecatspec.conformance.runner import limits_of
-from ecatspec.conformance.session import Deviation
+from ecatspec.conformance.session import Deviation, InconclusiveError
 from ecatspec.conformance.verdict import Finding, Outcome
 from ecatspec.generators.bringup import way_to
 from ecatspec.generators.case import Case, SendSegments, Stimulus
@@ -69,7 +69,7 @@ class EcatSession:
             self._given.append(stimulus)
             try:
                 self._runner.session.apply(stimulus)
-            except (Deviation, DeviceFault, AdapterError) as error:
+            except (Deviation, InconclusiveError, DeviceFault, AdapterError) as error:
                 self._tell(error)
 
     def judge(self, case: Case) -> Verdict:
@@ -82,7 +82,7 @@ class EcatSession:
             told = f"{' or '.join(surprises)} befell the device while it was tested"
             warnings.warn(EcatWarning(f"inconclusive: {told}"), stacklevel=2)
 
-    def _tell(self, error: Deviation | DeviceFault | AdapterError) -> None:
+    def _tell(self, error: Deviation | InconclusiveError | DeviceFault | AdapterError) -> None:
         layer = min(self._bench.description.protocols)
         case = Case(self._name, "a test of your own", layer, tuple(self._given))
         verdict = self._runner.explained(case, error)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from markupsafe import Markup
 
@@ -11,7 +11,7 @@ from ecatspec.conformance.drawings.svg import drawing
 from ecatspec.conformance.marks import parts, plural
 from ecatspec.conformance.pages import render
 from ecatspec.conformance.reports import judged
-from ecatspec.conformance.verdict import BLAMING, Outcome, Way
+from ecatspec.conformance.verdict import BLAMING, Conclusion, Outcome, Way
 from ecatspec.conformance.version import version
 from ecatspec.generators.families import NOTES
 from ecatspec.model.compiled import Model
@@ -89,9 +89,16 @@ def _judgement(result: Result) -> tuple[str, str]:
     late = " (interrupted: what was found so far)" if result.interrupted else ""
     if not judged(result):
         return "", f"Not judged{late}"
-    if result.conforms:
-        return "good", f"Conforms{late}"
-    return "bad", f"Does not conform{late}"
+    words = result.conclusion.value.capitalize()
+    match result.conclusion:
+        case Conclusion.CONFORMS:
+            return "good", f"{words}{late}"
+        case Conclusion.NOT_SHOWN:
+            return "bad", f"{words}: {result.unreached_words()}{late}"
+        case Conclusion.DOES_NOT_CONFORM:
+            return "bad", f"{words}{late}"
+        case _:
+            assert_never(result.conclusion)
 
 
 def _tiles(result: Result) -> Iterator[View]:

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from ecatspec.conformance.reports import judged
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance.verdict import Conclusion, Outcome
 from ecatspec.spec.language.ir import Level  # noqa: TC001  msgspec reads the annotations
 
 if TYPE_CHECKING:
@@ -113,7 +113,10 @@ class ResultPart(_Part, frozen=True):
 
     device: str
     subject: str
+    conclusion: Conclusion
     conforms: bool
+    unreached: list[str]
+    """The AL states that cases needed and none reached."""
     judged: bool
     interrupted: bool
     seconds: Seconds
@@ -163,7 +166,9 @@ def _result(result: Result, protocol: Protocol) -> ResultPart:
     return ResultPart(
         result.device,
         result.subject,
+        result.conclusion,
         result.conforms,
+        list(result.unreached),
         judged(result),
         result.interrupted,
         round(result.seconds, 3),

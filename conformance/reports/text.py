@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.marks import parts, plain, plural
 from ecatspec.conformance.reports import judged
-from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Outcome, Way
+from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
 from ecatspec.generators.families import NOTES
 from ecatspec.model.words import bytes_words
 
@@ -69,7 +69,11 @@ def _result(result: Result, protocol: Protocol) -> Iterable[str]:
 
 
 def _judgement(result: Result, findings: Sequence[Finding]) -> str:
-    words = "conforms" if result.conforms else "DOES NOT CONFORM"
+    words = {
+        Conclusion.CONFORMS: "conforms",
+        Conclusion.NOT_SHOWN: f"NOT SHOWN: {result.unreached_words()}",
+        Conclusion.DOES_NOT_CONFORM: "DOES NOT CONFORM",
+    }[result.conclusion]
     if not judged(result):
         words = "NOT JUDGED"
     if findings:

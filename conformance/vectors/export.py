@@ -10,10 +10,11 @@ import msgspec
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import TRUTHS, UserError, assuming, going, load, nearest, pinned
-from ecatspec.conformance.runner import SHAPE, WALK, WALKS
-from ecatspec.conformance.session import Deviation
+from ecatspec.conformance.runner import SHAPE, WALK, WALKS, shape_of
+from ecatspec.conformance.session import Deviation, InconclusiveError
 from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
 from ecatspec.conformance.version import version
+from ecatspec.generators.assignment import at_power_on, read_configuration
 from ecatspec.generators.bringup import has_process_data, way_to
 from ecatspec.generators.case import (
     NO_LIMITS,
@@ -27,6 +28,7 @@ from ecatspec.generators.case import (
 from ecatspec.generators.families import NOTES
 from ecatspec.generators.finite_cover import complete_suites
 from ecatspec.generators.formats import FORMATS
+from ecatspec.generators.play import play
 from ecatspec.generators.suite import all_cases
 from ecatspec.generators.vectors import (
     CONFIGURATION,
@@ -176,7 +178,7 @@ class Export:
 
     def _configuration(self) -> Iterator[Case]:
         if has_process_data(self._model):
-            way = (*way_to(self._model, "PREOP"), ReadConfiguration())
+            way = (*way_to(self._model, "PREOP"), *read_configuration(self._model))
             title = "what is assigned and mapped after power-on"
             yield Case(CONFIGURATION, title, CONFIGURATION, way)
 
@@ -211,18 +213,17 @@ class Export:
         repeats = any(isinstance(stimulus, Repeat) for stimulus in case.stimuli)
         self._recorder.acknowledges = repeats or case.layer == MAILBOX
         try:
-            self._recorder.begin(dict(SHAPE), self._objects if requires else {})
+            self._recorder.begin(shape_of(self.protocol), self._objects if requires else {})
             for stimulus in case.stimuli:
                 self._recorder.apply(stimulus)
                 if self._recorder.oracle.lost:
                     self.cut.append(case.name)  # what would follow says nothing
                     break
-        except (Deviation, RestlessError):
+        except (Deviation, InconclusiveError, RestlessError):
             self.restless.append(case.name)
             return None
         if case.name == CONFIGURATION:
-            known = self._recorder.oracle.example().objects
-            self._objects = {key: value for key, value in known if self._model.sets_up(key[0])}
+            self._objects = at_power_on(self._model, self._recorder.oracle.example().objects)
         self.number += 1
         steps = self._recorder.steps
         flags = [case.flag] if case.flag else []
@@ -340,8 +341,10 @@ class Export:
     def _unasked(self) -> list[Allowed]:
         """Give the messages that a device may send by itself at any time."""
         found: dict[tuple[str, str], Allowed] = {}
+        device = VirtualSubDevice(self._model.protocol)
+        play(self._model, device, way_to(self._model, "PREOP"))
         for event in self._model.own:
-            for taken in step(self._model, self._model.initial, event):
+            for taken in step(self._model, device.state, event):
                 for output in taken.outputs[:1]:
                     for form in message_forms(self._model, taken.state, output, {}, COUNTER):
                         allowed = self._recorder.allowed(form)

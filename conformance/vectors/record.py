@@ -30,7 +30,7 @@ from ecatspec.model.candidates import Exchange
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.forms import Form, input_form, message_forms, register_forms
-from ecatspec.model.serving import is_alive, is_idle
+from ecatspec.model.serving import is_idle, may_hold_anything
 from ecatspec.model.shown import decided, process_area
 from ecatspec.model.values import bits_of
 
@@ -147,7 +147,7 @@ class Recorder(Session):
         self._draft.us += microseconds
         if self._cycled is not None:
             address, data = self._cycled
-            self._draft.cycle = Cycle(address, data.hex(), self._cycle())
+            self._draft.cycle = Cycle(address, data.hex(), self._every)
 
     def _settle(self, *, unread: bool = False) -> None:
         self._unread = unread
@@ -186,7 +186,10 @@ class Recorder(Session):
     def _rest(self) -> None:
         """Wait until nothing is left that a device may be busy with."""
         began = self.time
-        while (until := self.oracle.busy_until(self.time)) > self.time:
+        for _ in range(_TRIES):
+            until = self.oracle.busy_until(self.time)
+            if until == self.time:
+                return
             if self._draft.expect:
                 self._close()
             if not self._draft.us:
@@ -194,6 +197,7 @@ class Recorder(Session):
             self._wait(until - self.time)
             if self.time > began + _LONGEST:
                 raise RestlessError
+        raise RestlessError
 
     def _full(self) -> bool:
         if self._rests:
@@ -324,7 +328,7 @@ class Recorder(Session):
     def _nothing(self, before: Oracle, exchange: Exchange) -> Mail | None:
         """Give what else may come where no message came; where anything may, all is taken away."""
         found = before.expanded(exchange.time)
-        loose = [bool(c.loose) or not is_alive(self.model, c.state) for c in found]
+        loose = [may_hold_anything(self.model, c) for c in found]
         if all(loose):
             return Mail([], none="passes", otherwise="passes")
         others = self._allowed_mail(before, exchange, b"")
@@ -332,7 +336,7 @@ class Recorder(Session):
 
     def _message(self, before: Oracle, exchange: Exchange) -> Mail | None:
         found = before.expanded(exchange.time)
-        loose = [bool(c.loose) or not is_alive(self.model, c.state) for c in found]
+        loose = [may_hold_anything(self.model, c) for c in found]
         if all(loose):
             return None
         message = self.model.decode(exchange.data)

@@ -42,6 +42,10 @@ class _End(Exception):  # noqa: N818
     """The test is over: the device went another way that is allowed."""
 
 
+class _NoEnd(Exception):  # noqa: N818
+    """The test is over: message after message comes, and never the one that is waited for."""
+
+
 class _Fault(Exception):  # noqa: N818
     """The device did what is not allowed: what was expected, what was seen, and of what."""
 
@@ -93,6 +97,11 @@ class Player:
         except _End:
             reason = f"went another way in step {self._number}, which is allowed: not tried further"
             return Verdict(test.id, Outcome.PASS, test.comment, reason)
+        except _NoEnd:
+            reason = (
+                f"sends messages without end in step {self._number}: {_FLOOD} that nobody asked"
+            )
+            return Verdict(test.id, Outcome.INCONCLUSIVE, test.comment, f"{reason} for")
         except _Fault as fault:
             return self._failure(test, last, fault)
         except (DeviceCrash, DeviceHang, DeviceRubbish) as death:
@@ -248,6 +257,8 @@ class Player:
                 seen = f"counter {counter} after {before}"
                 raise _Fault("counter", (f"{expected.counter} counter",), seen)
             return
+        if expected.anyOf:
+            raise _NoEnd
 
     def _judge_bytes(self, expected: Read | Mail, data: bytes) -> None:
         found = _found(expected.anyOf, data)

@@ -22,16 +22,28 @@ static void clear_event(struct esc *esc, uint32_t event)
     put32(request, get32(request) & ~event);
 }
 
+static int is_full(const struct channel *channel)
+{
+    return channel->mailbox && channel->newest != NO_BUFFER;
+}
+
+/* Show what became of the buffers: in the status, and as the event that the device waits for. */
 static void show_channel(struct esc *esc, int number)
 {
     const struct channel *channel = &esc->channels[number];
     uint8_t *status = manager(esc, number) + AT_STATUS;
+    uint32_t event = (uint32_t)EVENT_MANAGER_0 << number;
+    *status = (uint8_t)(channel->written | channel->taken << 1);
     if (channel->mailbox) {
-        *status = (uint8_t)(channel->full << 3);
+        *status |= (uint8_t)(is_full(channel) << 3);
     } else {
-        *status = (uint8_t)(channel->written | channel->taken << 1 | channel->newest << 4
-                            | (channel->reading != NO_BUFFER) << 6
-                            | (channel->writing != NO_BUFFER) << 7);
+        *status |= (uint8_t)(channel->newest << 4 | (channel->reading != NO_BUFFER) << 6
+                             | (channel->writing != NO_BUFFER) << 7);
+    }
+    if (channel->main_writes ? channel->written : channel->taken) {
+        raise_event(esc, event);
+    } else {
+        clear_event(esc, event);
     }
 }
 
@@ -68,7 +80,6 @@ static void arrange(struct esc *esc, int number)
     if (new.enabled != old->enabled || new.mailbox != old->mailbox || new.start != old->start
         || new.length != old->length || new.main_writes != old->main_writes || new.off != old->off) {
         *old = new;
-        clear_event(esc, (uint32_t)EVENT_MANAGER_0 << number);
     }
     show_channel(esc, number);
 }
@@ -156,26 +167,12 @@ static uint8_t free_buffer(const struct channel *channel)
     return number;
 }
 
-static int read_mail(struct esc *esc, struct channel *channel, uint32_t address, uint8_t *data,
-                     size_t length)
-{
-    if (channel->off || channel->main_writes || !channel->full) {
-        return 0;
-    }
-    memcpy(data, esc->memory + address, length);
-    if (address + length == visible_end(channel)) {
-        channel->full = 0;
-        raise_event(esc, (uint32_t)EVENT_MANAGER_0 << number_of(esc, channel));
-    }
-    return 1;
-}
-
-/* A buffer opens with its first byte and changes hands with its last one. */
-static int read_inputs(struct esc *esc, struct channel *channel, uint32_t address, uint8_t *data,
-                       size_t length)
+/* The side that reads. A buffer opens with its first byte and changes hands with its last one. */
+static int take(struct esc *esc, struct channel *channel, uint32_t address, uint8_t *data,
+                size_t length)
 {
     uint32_t offset = address - channel->start;
-    if (channel->off || channel->main_writes || address >= visible_end(channel)) {
+    if (channel->off || address >= visible_end(channel)) {
         return 0;
     }
     if (offset == 0) {
@@ -189,30 +186,19 @@ static int read_inputs(struct esc *esc, struct channel *channel, uint32_t addres
     if (offset + length == channel->length) {
         channel->reading = NO_BUFFER;
         channel->taken = 1;
-        raise_event(esc, (uint32_t)EVENT_MANAGER_0 << number_of(esc, channel));
+        if (channel->mailbox) {
+            channel->newest = NO_BUFFER;    /* one buffer: it is the writer's again */
+        }
     }
     return 1;
 }
 
-static int write_mail(struct esc *esc, struct channel *channel, uint32_t address,
-                      const uint8_t *data, size_t length)
-{
-    if (channel->off || !channel->main_writes || channel->full) {
-        return 0;
-    }
-    memcpy(esc->memory + address, data, length);
-    if (address + length == visible_end(channel)) {
-        channel->full = 1;
-        raise_event(esc, (uint32_t)EVENT_MANAGER_0 << number_of(esc, channel));
-    }
-    return 1;
-}
-
-static int write_outputs(struct esc *esc, struct channel *channel, uint32_t address,
-                         const uint8_t *data, size_t length)
+/* The side that writes. */
+static int put(struct esc *esc, struct channel *channel, uint32_t address, const uint8_t *data,
+               size_t length)
 {
     uint32_t offset = address - channel->start;
-    if (channel->off || !channel->main_writes || address >= visible_end(channel)
+    if (channel->off || address >= visible_end(channel) || is_full(channel)
         || (offset > 0 && channel->writing == NO_BUFFER)) {
         return 0;
     }
@@ -227,14 +213,17 @@ static int write_outputs(struct esc *esc, struct channel *channel, uint32_t addr
         channel->newest = channel->writing;
         channel->writing = NO_BUFFER;
         channel->written = 1;
-        raise_event(esc, (uint32_t)EVENT_MANAGER_0 << number_of(esc, channel));
-        if (watchdog_on(esc)) {
-            esc->watchdog = (get16(esc->memory + REGISTER_WATCHDOG_DIVIDER) + 2u)
-                            * get16(esc->memory + REGISTER_WATCHDOG_TIME) / TICKS_OF_MICROSECOND;
-            esc->watchdog_runs = 1;
-        }
     }
     return 1;
+}
+
+static void feed_watchdog(struct esc *esc)
+{
+    if (watchdog_on(esc)) {
+        esc->watchdog = (get16(esc->memory + REGISTER_WATCHDOG_DIVIDER) + 2u)
+                        * get16(esc->memory + REGISTER_WATCHDOG_TIME) / TICKS_OF_MICROSECOND;
+        esc->watchdog_runs = 1;
+    }
 }
 
 /* --- registers ------------------------------------------------------------------------------- */
@@ -309,9 +298,8 @@ int chip_main_read(struct esc *esc, uint16_t address, uint8_t *data, size_t leng
         if (channel == NULL) {
             memcpy(data, esc->memory + at, part);
             counter = 1;
-        } else {
-            counter |= channel->mailbox ? read_mail(esc, channel, at, data, part)
-                                        : read_inputs(esc, channel, at, data, part);
+        } else if (!channel->main_writes && take(esc, channel, at, data, part)) {
+            counter = 1;
             show_channel(esc, number_of(esc, channel));
         }
         at += (uint32_t)part;
@@ -333,9 +321,11 @@ int chip_main_write(struct esc *esc, uint16_t address, const uint8_t *data, size
         struct channel *channel = owner_of(esc, at);
         if (channel == NULL) {
             counter |= write_registers(esc, at, data, part);
-        } else {
-            counter |= channel->mailbox ? write_mail(esc, channel, at, data, part)
-                                        : write_outputs(esc, channel, at, data, part);
+        } else if (channel->main_writes && put(esc, channel, at, data, part)) {
+            counter = 1;
+            if (!channel->mailbox && channel->writing == NO_BUFFER) {
+                feed_watchdog(esc);    /* the image is complete */
+            }
             show_channel(esc, number_of(esc, channel));
         }
         at += (uint32_t)part;
@@ -355,7 +345,7 @@ uint32_t esc_events(struct esc *esc)
 
 static int overlaps(uint32_t start, size_t size, uint32_t address, size_t length)
 {
-    return address < start + size && start < address + length;
+    return length > 0 && address < start + size && start < address + length;
 }
 
 /* What the device reads as an event it has seen. */
@@ -376,63 +366,6 @@ static void clear_seen(struct esc *esc, uint32_t address, size_t length)
     }
 }
 
-static void device_reads(struct esc *esc, struct channel *channel, uint32_t address, uint8_t *data,
-                         size_t length)
-{
-    uint32_t offset = address - channel->start;
-    int last = address + length == visible_end(channel);
-    if (!channel->main_writes || channel->off || address >= visible_end(channel)) {
-        return;
-    }
-    if (channel->mailbox) {
-        memcpy(data, esc->memory + address, length);
-        channel->full = channel->full && !last;
-    } else {
-        if (offset == 0) {
-            channel->reading = channel->newest;
-            channel->written = 0;
-        }
-        if (channel->reading == NO_BUFFER) {
-            return;
-        }
-        memcpy(data, buffer(esc, channel, channel->reading) + offset, length);
-        if (last) {
-            channel->reading = NO_BUFFER;
-            channel->taken = 1;
-        }
-    }
-    clear_event(esc, (uint32_t)EVENT_MANAGER_0 << number_of(esc, channel));
-}
-
-static void device_writes(struct esc *esc, struct channel *channel, uint32_t address,
-                          const uint8_t *data, size_t length)
-{
-    uint32_t offset = address - channel->start;
-    int last = address + length == visible_end(channel);
-    if (channel->main_writes || channel->off || address >= visible_end(channel)
-        || (!channel->mailbox && offset > 0 && channel->writing == NO_BUFFER)) {
-        return;
-    }
-    if (channel->mailbox) {
-        memcpy(esc->memory + address, data, length);
-        channel->full = channel->full || last;
-    } else {
-        channel->taken = channel->taken && offset > 0;
-        if (channel->writing == NO_BUFFER) {
-            channel->writing = free_buffer(channel);
-        }
-        memcpy(buffer(esc, channel, channel->writing) + offset, data, length);
-        if (last) {
-            channel->newest = channel->writing;
-            channel->writing = NO_BUFFER;
-            channel->written = 1;
-        }
-    }
-    if (last) {
-        clear_event(esc, (uint32_t)EVENT_MANAGER_0 << number_of(esc, channel));
-    }
-}
-
 void esc_read(struct esc *esc, uint16_t address, void *data, size_t length)
 {
     uint32_t at = address;
@@ -444,8 +377,7 @@ void esc_read(struct esc *esc, uint16_t address, void *data, size_t length)
         struct channel *channel = owner_of(esc, at);
         if (channel == NULL) {
             memcpy(to, esc->memory + at, part);
-        } else {
-            device_reads(esc, channel, at, to, part);
+        } else if (channel->main_writes && take(esc, channel, at, to, part)) {
             show_channel(esc, number_of(esc, channel));
         }
         at += (uint32_t)part;
@@ -464,8 +396,7 @@ void esc_write(struct esc *esc, uint16_t address, const void *data, size_t lengt
         struct channel *channel = owner_of(esc, at);
         if (channel == NULL) {
             memcpy(esc->memory + at, from, part);
-        } else {
-            device_writes(esc, channel, at, from, part);
+        } else if (!channel->main_writes && put(esc, channel, at, from, part)) {
             show_channel(esc, number_of(esc, channel));
         }
         at += (uint32_t)part;

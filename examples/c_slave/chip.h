@@ -6,14 +6,13 @@
 
 enum { ESC_SIZE = 0x10000, ESC_PROCESS_MEMORY = 0x1000, NO_BUFFER = 3 };
 
-/* A SyncManager as its registers set it, and what became of its buffers. A mailbox has one, in
- * which `full` says whose it is; process data have three behind each other. */
+/* A SyncManager as its registers set it, and what became of its buffers. A mailbox has one, which is
+ * full while it is the newest; process data have three behind each other. */
 struct channel {
     int enabled, mailbox, main_writes, off;
     uint16_t start, length;
-    int full;                            /* mailbox: a message waits for the reader */
-    uint8_t newest, writing, reading;    /* process data: numbers of buffers, or NO_BUFFER */
-    int written, taken;                  /* process data: completed by the writer, by the reader */
+    uint8_t newest, writing, reading;    /* numbers of buffers, or NO_BUFFER */
+    int written, taken;                  /* events: completed by the writer, by the reader */
 };
 
 struct esc {

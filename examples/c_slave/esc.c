@@ -101,9 +101,11 @@ int esc_take_mail(struct slave *slave, uint8_t message[MAILBOX_OUT_LENGTH])
 void esc_free_mail(struct slave *slave)
 {
     const struct manager *set = &slave->managers[MAIL_OUT];
-    uint8_t last;
+    uint8_t byte;
     if (set->enabled && set->length > 0 && happened(slave, EVENT_MANAGER_0 << MAIL_OUT)) {
-        esc_read(slave->esc, (uint16_t)(set->start + set->length - 1), &last, 1);
+        /* a mailbox opens with its first byte and is free with its last one */
+        esc_read(slave->esc, set->start, &byte, 1);
+        esc_read(slave->esc, (uint16_t)(set->start + set->length - 1), &byte, 1);
     }
 }
 

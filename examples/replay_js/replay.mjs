@@ -169,6 +169,7 @@ class Player {
       if (before !== null && (mixed || !right[rule])) take(undefined, `a ${rule} counter`, `counter ${this.counter} after ${before}`);
       return;
     }
+    if (anyOf.length) throw new End(); // no end, and never what was waited for
   }
 
   async fetch() {

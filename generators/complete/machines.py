@@ -14,9 +14,9 @@ from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import Happen, SendFrame, StopOutputs, WriteOutputs
 from ecatspec.generators.drive_cover import CONTROL, STATUS, commands, is_driven
 from ecatspec.generators.mailbox_cover import probe_entry
-from ecatspec.generators.play import AWHILE, play
+from ecatspec.generators.play import exchange, play
+from ecatspec.generators.process_data import image_size
 from ecatspec.generators.sdo_cover import is_written
-from ecatspec.generators.stimulus import frame_bytes
 from ecatspec.generators.transfers import (
     abort,
     download,
@@ -142,7 +142,7 @@ class Driven:
         return self._seen()
 
     def key(self) -> Hashable:
-        """Give the slots, what is seen, the SyncManagers, and what the MainDevice writes."""
+        """Give the slots, what is seen, SyncManagers, process data, and what is written."""
         state = self.device.state
         values = [state.slots[slot] for slot in self.slots.values()]
         managers = [
@@ -150,11 +150,12 @@ class Driven:
             for manager in (*SYNC_MANAGERS, *PROCESS_DATA)
             for name in (manager, f"{manager}_activation")
         ]
+        sizes = (image_size(self.model, state, name) for name in PROCESS_DATA)
         written = None if self.words is None else tuple(sorted(self.words.items()))
         self.replies, replies = (), self.replies
         seen = self._seen()
         self.replies = replies
-        return (*values, *managers, written, seen)
+        return (*values, *managers, *sizes, written, seen)
 
     def name(self) -> str:
         """Give the states of the machines that are told apart, by name."""
@@ -173,18 +174,9 @@ class Driven:
 
     def _exchange(self, stimulus: SendFrame) -> list[str]:
         """Send a message and read all that comes."""
-        start, length = (self.model.parameter("mailbox_out", p) for p in ("start", "length"))
         self._counter = self._counter % self.model.parameter("highest_counter") + 1
-        data = frame_bytes(self.model, stimulus, self._counter)
-        self.device.write(start, data.ljust(length, b"\0"))
-        self.device.advance(AWHILE)
-        found: list[str] = []
-        start, length = (self.model.parameter("mailbox_in", p) for p in ("start", "length"))
-        while True:
-            counter, data = self.device.read(start, length)
-            if not counter:
-                return found
-            found.append(_kind(self.model, data))
+        replies = exchange(self.model, self.device, stimulus, self._counter)
+        return [_kind(self.model, data) for data in replies]
 
 
 # --- what a MainDevice sees -----------------------------------------------------------------------
@@ -334,7 +326,7 @@ def sdo_machine(model: Model, choices: Mapping[str, str] | None = None) -> Abstr
 
 def sdo_setup(model: Model) -> Setup | None:
     """Give what the machine of the SDO server is made of; None: there is nothing to read."""
-    alphabet = _sdo_alphabet(model)
+    alphabet = _sdo_alphabet(model) if model.has_mailbox else {}
     if not alphabet:
         return None
     slots = (

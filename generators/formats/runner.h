@@ -197,7 +197,7 @@ static int ecatspec_look_for_mail(struct ecatspec_play *play, const struct ecats
         if (expected->counter == ECATSPEC_SAME && play->counter != before) return ECATSPEC_WRONG;
         return ECATSPEC_GOES_ON;
     }
-    return ECATSPEC_GOES_ON;
+    return expected->count ? ECATSPEC_ENDS : ECATSPEC_GOES_ON; /* no end, and never what was waited for */
 }
 
 static int ecatspec_look(struct ecatspec_play *play, const struct ecatspec_expected *expected)

@@ -398,6 +398,8 @@ class _Checker:
                 self._demand(field.shows.value, Scope(), field.type)
                 if field.shows.condition is not None:
                     self._demand(field.shows.condition, Scope(), Bool())
+                if field.shows.advised is not None:
+                    self._demand(field.shows.advised.value, Scope(), field.type)
 
     def _frame_expressions(self, frame: Frame) -> None:
         inside = Scope(frame=frame.name)

@@ -275,11 +275,20 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
+class Advised:
+    """What a register field should read as beside what it must, by clauses of their own."""
+
+    value: Expression
+    clauses: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Shows:
     """What a register field reads as: `value` while `condition` holds, unspecified otherwise."""
 
     value: Expression
     condition: Expression | None = None
+    advised: Advised | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -578,6 +587,9 @@ class ObjectEntry:
 
     `states` are the AL states in which it can be written, `read_states` those in which it can be
     read; empty for all. `maps`: it is a mapping entry of so many bits, of an unknown object.
+    A string is `fixed`, or of `varying` size up to that of its type; neither: no text says it.
+    `stored`: it keeps over power-off what was written, so its default need not be there; `guarded`:
+    it takes only values that no text knows, a signature or a password.
     """
 
     index: int
@@ -593,6 +605,10 @@ class ObjectEntry:
     high: int | None = None
     default: int | str | None = None
     mappable: bool = False
+    fixed: bool = False
+    varying: bool = False
+    stored: bool = False
+    guarded: bool = False
     maps: int | None = None
     clauses: tuple[str, ...] = ()
     at: Span = field(default=NOWHERE, compare=False)

@@ -14,6 +14,7 @@ from lark.lexer import PatternStr
 from ecatspec.spec.language.diagnostics import Code, Diagnostic, SpecError
 from ecatspec.spec.language.ir import (
     Access,
+    Advised,
     After,
     Alternative,
     Anomaly,
@@ -487,9 +488,14 @@ class _Builder:
 
     def _shows(self, tree: Tree[Token]) -> Shows:
         children, _ = self._open(tree)
-        return Shows(
-            self._expression(children.tree()), self._optional_expression(children.optional_tree())
-        )
+        value = self._expression(children.tree())
+        condition = self._optional_expression(children.optional_tree())
+        advice = children.given("advised")
+        return Shows(value, condition, None if advice is None else self._advised(advice))
+
+    def _advised(self, tree: Tree[Token]) -> Advised:
+        children, _ = self._open(tree)
+        return Advised(self._expression(children.tree()), self._ids(children.given("id_list")))
 
     def _frame(self, tree: Tree[Token]) -> Frame:
         children, at = self._open(tree)
@@ -541,6 +547,10 @@ class _Builder:
             constant="constant" in marks,
             volatile="volatile" in marks,
             mappable="mappable" in marks,
+            fixed="fixed" in marks,
+            varying="varying" in marks,
+            stored="stored" in marks,
+            guarded="guarded" in marks,
             states=states,
             read_states=() if readable is None else tuple(_Children(readable, at).words("NAME")),
             low=None if low is None else self._signed(low),

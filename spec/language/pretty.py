@@ -330,8 +330,11 @@ def _cells(member: Declaration) -> tuple[str, ...]:
             raise TypeError(member)
 
 
+_MARKS = ("constant", "volatile", "mappable", "fixed", "varying", "stored", "guarded")
+
+
 def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
-    marks = [word for word in ("constant", "volatile", "mappable") if getattr(entry, word)]
+    marks = [word for word in _MARKS if getattr(entry, word)]
     default = entry.default
     if default is not None:
         default = f'= "{default}"' if isinstance(default, str) else f"= {default}"
@@ -471,6 +474,8 @@ def _register_field(field: RegisterField) -> tuple[str, ...]:
         shows = f"shows {pretty_expression(field.shows.value)}"
         if field.shows.condition is not None:
             shows += f" when {pretty_expression(field.shows.condition)}"
+        if (advised := field.shows.advised) is not None:
+            shows += f" should {pretty_expression(advised.value)} {_ids(advised.clauses)}"
     bits = f"bits {field.low}" + ("" if field.low == field.high else f"..{field.high}")
     return bits, field.name, f": {pretty_type(field.type)}", shows, _ids(field.clauses)
 

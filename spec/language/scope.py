@@ -210,6 +210,9 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "writable_now": FunctionSignature(_ENTRY, Bool(), "the entry can be written in this AL state"),
     "size_of": FunctionSignature(_ENTRY, UInt(32), "bytes that the entry has at most"),
     "size_varies": FunctionSignature(_ENTRY, Bool(), "the entry may hold fewer bytes than that"),
+    "size_unsaid": FunctionSignature(
+        _ENTRY, Bool(), "no text says whether the size of the string varies"
+    ),
     "present_size": FunctionSignature(_ENTRY, UInt(32), "bytes that an upload may announce now"),
     "size_allowed": FunctionSignature((*_ENTRY, _COUNT), Bool(), "so many bytes can be written"),
     "value_of": FunctionSignature(_ENTRY, _DATA, "the present value as bytes on the wire"),
@@ -219,6 +222,9 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "too_low": FunctionSignature((*_ENTRY, _DATA), Bool(), "below the range of the entry"),
     "is_plain_variable": FunctionSignature((_INDEX,), Bool(), "the object has subindex 0 only"),
     "complete_size": FunctionSignature(_ENTRY, UInt(32), "bytes from this subindex on, padded"),
+    "counted_size": FunctionSignature(
+        _ENTRY, UInt(32), "bytes from this subindex to that which subindex 0 counts, padded"
+    ),
     "complete_value": FunctionSignature(_ENTRY, _DATA, "the object from this subindex on"),
     "complete_in_range": FunctionSignature((*_ENTRY, _DATA), Bool(), "all ranges allow the bytes"),
     "complete_readable": FunctionSignature(_ENTRY, Bool(), "every entry from there can be read"),
@@ -226,6 +232,7 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "object_list": FunctionSignature((UInt(16),), _DATA, "the list of this type as it travels"),
     "object_code_of": FunctionSignature((_INDEX,), UInt(8), "variable, array or record"),
     "highest_subindex": FunctionSignature((_INDEX,), UInt(8), "the highest subindex to be told"),
+    "mappable": FunctionSignature(_ENTRY, Bool(), "the entry can travel as process data"),
     "data_type_of": FunctionSignature(_ENTRY, UInt(16), "the number of the entry's type"),
     "bit_length_of": FunctionSignature(_ENTRY, UInt(16), "bits that the entry has"),
     "readable_in": FunctionSignature((*_ENTRY, UInt(4)), Bool(), "can be read in this AL state"),
@@ -238,6 +245,11 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "word": FunctionSignature((UInt(16),), _DATA, "the number in two bytes"),
     "piece": FunctionSignature(
         (_DATA, _COUNT, _COUNT, _COUNT), _DATA, "from an offset on, at least and at most so many"
+    ),
+    "numbered": FunctionSignature(
+        (_DATA, _COUNT, _COUNT, _COUNT),
+        _DATA,
+        "bytes that are a number from, to, or that other one",
     ),
     "lesser": FunctionSignature((_COUNT, _COUNT), _COUNT, "the smaller number"),
     "dictionary_closed": FunctionSignature((), Bool(), "only declared objects exist"),

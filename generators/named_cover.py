@@ -1,0 +1,100 @@
+"""The only place for the cover of objects and values that rules speak of by their numbers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.generators.bringup import case_in
+from ecatspec.generators.mutants import definitions_in
+from ecatspec.generators.transfers import download, upload
+from ecatspec.spec.language.ir import Binary, Call, In, Literal, Name, Range, SInt, UInt
+from ecatspec.spec.language.scope import nodes_in
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from ecatspec.generators.case import Case, Limits
+    from ecatspec.model.compiled import Model
+    from ecatspec.spec.language.ir import Definition, Protocol, Rule
+
+_INDEX: Final = "index"
+
+
+def named_cover(model: Model, _: Limits) -> Iterator[Case]:
+    """Yield a read and a write of each object that is named and not declared, and values by name.
+
+    A device text may say that such an object is not there, or that an entry takes a value.
+    """
+    for index in named_objects(model.protocol):
+        key = f"{index:04X}_00"
+        what = f"0x{index:04X}, which the texts name and do not declare"
+        yield case_in(model, f"sdo/named/{key}", f"upload of {what}", [upload(index, 0)])
+        sent = [download(index, 0, bytes(1))]
+        yield case_in(model, f"sdo/named_written/{key}", f"download to {what}", sent)
+    entries = {(entry.index, entry.subindex): entry for entry in model.protocol.objects}
+    for number, subindex, value in _named_values(model.protocol):
+        entry = entries.get((number, subindex))
+        if entry is None or not isinstance(entry.type, UInt | SInt):
+            continue
+        name = f"sdo/named_value/{number:04X}_{subindex:02X}/{value}"
+        data = value.to_bytes(entry.type.width // 8, "little")
+        sent = [download(number, subindex, data), upload(number, subindex)]
+        yield case_in(model, name, f"{entry.name} written with {value}, which the texts name", sent)
+
+
+def _named_values(protocol: Protocol) -> list[tuple[int, int, int]]:
+    """Give the values that definitions name for an entry: index, subindex and value."""
+    found: dict[tuple[int, int, int], None] = {}
+    for definition in protocol.definitions.values():
+        for node in nodes_in(definition.value):
+            if not isinstance(node, Binary) or node.operator != "and":
+                continue
+            numbers: dict[str, int] = {}
+            values: list[int] = []
+            for part in nodes_in(node):
+                match part:
+                    case Binary("==", Name(path=path), Literal(value=number)):
+                        numbers.setdefault(path, int(number))
+                    case In(operand=Call("number", (Name(path="value"),)), items=items):
+                        values += [end for item in items for end in _ends(item)]
+                    case _:
+                        pass
+            if "index" in numbers and "subindex" in numbers:
+                key = numbers["index"], numbers["subindex"]
+                found |= dict.fromkeys((*key, value) for value in values)
+    return list(found)
+
+
+def named_objects(protocol: Protocol, clause: str = "") -> list[int]:
+    """Give the indices that rules compare with, of objects that no text declares.
+
+    With a clause those of rules and definitions that rest on it.
+    """
+    declared = {entry.index for entry in protocol.objects}
+    parts: list[Rule | Definition] = []
+    for machine in protocol.machines.values():
+        for rule in machine.rules:
+            parts.append(rule)
+            parts += (protocol.definitions[name] for name in definitions_in(protocol, rule))
+    found: set[int] = set()
+    for part in (each for each in parts if not clause or clause in each.clauses):
+        for node in nodes_in(part):
+            match node:
+                case In(operand=Name(path=path), items=items) if path == _INDEX:
+                    found |= {number for item in items for number in _ends(item)}
+                case Binary("==", Name(path=path), Literal(value=number)) if path == _INDEX:
+                    found.add(int(number))
+                case _:
+                    pass
+    return sorted(found - declared)
+
+
+def _ends(item: object) -> Iterator[int]:
+    """Yield a number, or the ends of a row of numbers and what lies between them in the middle."""
+    match item:
+        case Literal(value=number):
+            yield int(number)
+        case Range(Literal(value=low), Literal(value=high)):
+            yield from {int(low), (int(low) + int(high)) // 2, int(high)}
+        case _:
+            pass

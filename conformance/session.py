@@ -275,9 +275,9 @@ class Session:
 
     def _read_initial(self, key: ObjectKey) -> None:
         """Note a value that is not the default, on a device that was switched off and on."""
-        entry = self.model.dictionary.entries[key]
+        entry = self.model.dictionary.entries.get(key)
         held = self._uploaded(key)
-        if held is None or not self.adapter.describe().power_cycles:
+        if entry is None or held is None or not self.adapter.describe().power_cycles:
             return
         default = sample(entry)
         same = (
@@ -289,9 +289,9 @@ class Session:
 
     def _write_until_taken(self, key: ObjectKey) -> None:
         """Raise a deviation where every value is refused for no reason, what is held too."""
-        entry = self.model.dictionary.entries[key]
+        entry = self.model.dictionary.entries.get(key)
         held = self._uploaded(key)
-        if held is None:
+        if entry is None or held is None:
             return
         values = tuple(dict.fromkeys((held, *several_values(entry))))
         if all(self._refused(entry, value) for value in values):

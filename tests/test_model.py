@@ -410,7 +410,7 @@ def test_a_gap_makes_the_layout_uncertain() -> None:
     assert value.admits(bytes(14))
 
 
-def test_what_cannot_be_read_is_masked() -> None:
+def test_what_can_never_be_read_is_zero_and_what_cannot_be_read_now_is_masked() -> None:
     model = watcher()
     slots = model.initial.slots
     objects = {(0x2013, 0): b"\2", (0x2013, 1): b"\1\0", (0x2013, 2): b"\7\7"}
@@ -418,8 +418,13 @@ def test_what_cannot_be_read_is_masked() -> None:
     value = function(Environment(slots, objects, {}), (0x2013, 0))
     assert isinstance(value, Pattern)
     assert value.admits(b"\2\0\1\0\0\0")
-    assert value.admits(b"\2\0\1\0\7\7")
-    assert not value.admits(b"\2\0\2\0\7\7")
+    assert not value.admits(b"\2\0\1\0\7\7")
+    assert not value.admits(b"\2\0\2\0\0\0")
+    later = replace(model.dictionary.entries[0x2013, 1], read_states=("OP",))
+    model.dictionary.entries[0x2013, 1] = later
+    value = function(Environment(slots, objects, {}), (0x2013, 0))
+    assert isinstance(value, Pattern)
+    assert value.admits(b"\2\0\7\7\0\0")
     assert complete("complete_readable", 0x2013, 0) is False
     assert complete("complete_value", 0x2013, 0) == b"\2\0\1\0\0\0"
 

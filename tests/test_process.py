@@ -318,14 +318,21 @@ def test_the_terminals_interrupt_does_not_reach_the_device(device: Make) -> None
     assert os.getsid(adapter.pid) == adapter.pid != os.getsid(0)
 
 
-def test_an_interrupt_of_the_run_leaves_no_process(device: Make) -> None:
-    adapter = device(on_read("time.sleep(1000)"))
+def test_an_interrupt_of_the_run_leaves_no_process(device: Make, tmp_path: Path) -> None:
+    asked = tmp_path / "asked"
+    adapter = device(on_read(f"open({str(asked)!r}, 'w').close(); time.sleep(1000)"), 1000)
     main = threading.get_ident()
-    timer = threading.Timer(0.4, signal.pthread_kill, [main, signal.SIGINT])
-    timer.start()
+
+    def interrupt() -> None:
+        while not asked.exists():
+            time.sleep(0.01)
+        signal.pthread_kill(main, signal.SIGINT)
+
+    thread = threading.Thread(target=interrupt)
+    thread.start()
     with pytest.raises(KeyboardInterrupt):
         adapter.read(0, 1)
-    timer.join()
+    thread.join()
     assert adapter.pid is None
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 DEVICE = "reference-drive"
 STEP = 31
-"""Of the cases of a quick suite every one of so many is taken."""
+"""Every 31st case of a quick suite is taken."""
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,9 @@ def test_all_is_as_from_power_on(model: Model, fault: str) -> None:
     plain = Runner(model, adapters[0], adapters[0].describe())
     quick = resumed(model, adapters[1])
     outcomes = set()
-    for case in list(all_cases(model, NO_LIMITS, "quick"))[::STEP]:
+    for number, case in enumerate(all_cases(model, NO_LIMITS, "quick")):
+        if number % STEP and not case.name.startswith("sdo/transfer/wrong"):
+            continue
         expected = judged(plain, case)
         assert judged(quick, case) == expected
         outcomes.add(expected[0].outcome)

@@ -391,7 +391,8 @@ def _sdo_alphabet(model: Model) -> Alphabet:
         name = f"upload_segment_{int(toggle)}"
         alphabet[name] = (upload_segment(toggle=toggle),)
     taken_ = (e for e in entries if is_written(e) and not e.states and not size_varies(e))
-    put = next((e for e in taken_ if 2 <= size_of(e) <= expedited_size(model)), None)  # noqa: PLR2004
+    in_one = (e for e in taken_ if 2 <= size_of(e) <= expedited_size(model))  # noqa: PLR2004
+    put = max(in_one, key=size_of, default=None)
     if put is not None:
         value = sample(put)
         place = (put.index, put.subindex)

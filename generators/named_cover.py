@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.generators.bringup import case_in
-from ecatspec.generators.mutants import definitions_in
 from ecatspec.generators.transfers import download, upload
 from ecatspec.spec.language.ir import Binary, Call, In, Literal, Name, Range, SInt, UInt
 from ecatspec.spec.language.scope import nodes_in
@@ -71,11 +70,9 @@ def named_objects(protocol: Protocol, clause: str = "") -> list[int]:
     With a clause those of rules and definitions that rest on it.
     """
     declared = {entry.index for entry in protocol.objects}
-    parts: list[Rule | Definition] = []
+    parts: list[Rule | Definition] = list(protocol.definitions.values())
     for machine in protocol.machines.values():
-        for rule in machine.rules:
-            parts.append(rule)
-            parts += (protocol.definitions[name] for name in definitions_in(protocol, rule))
+        parts += machine.rules
     found: set[int] = set()
     for part in (each for each in parts if not clause or clause in each.clauses):
         for node in nodes_in(part):

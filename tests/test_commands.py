@@ -45,7 +45,7 @@ PAGES = sorted(
 )
 PAGES = ["README.md", "CONTRIBUTING.md", *PAGES]
 CASES = 3
-"""So many cases of a suite run here."""
+"""Cases of a suite that run here."""
 
 EXCUSED = {
     r" simulate ": "answers on a network interface until it is stopped: tests/test_eth.py",
@@ -54,6 +54,7 @@ EXCUSED = {
     r"--cluster ": "needs a cluster: tests/test_campaign.py",
     r"--workers ": "starts processes, each with the whole suite: tests/test_campaign.py",
     r" mutate ": "takes minutes: tests/test_mutants.py",
+    r" trace .*--measure": "takes minutes: tests/test_evidence.py",
     r" prove ": "takes long: tests/test_prove.py",
     r" diff .*(--verify|--dut)": "plays whole suites: tests/test_diff.py",
     r" run reference .*--replay ": "stands in the tutorial: a test of its own, below",

@@ -50,13 +50,9 @@ objects
 condition turns "the motor turns" assumed true [MINE-C4]
 """
 DEVICES: Final = tuple(name for name in device_names() if load_device(name).manuals)
-MUTATED: Final = ("afag-se-power", "beckhoff-el6720")
-"""Devices whose mutants of data are looked at: they have those of all kinds."""
-SAMPLE: Final = 2
-"""So many pieces of evidence of each device are tried again."""
+SAMPLE: Final = 3
+"""Pieces of evidence of each device that are tried again."""
 SEED: Final = 20
-COMPARED: Final = 20
-"""So many mutants of each device are compared with it."""
 
 
 @pytest.fixture(scope="module")
@@ -99,18 +95,18 @@ def of_data(device: str) -> list[DataMutant]:
     return [m for clause in own for m in data_mutants(protocol, standard, clause)]
 
 
-@pytest.mark.parametrize("device", MUTATED)
+@pytest.mark.parametrize("device", DEVICES)
 def test_a_mutant_of_data_is_another_text(device: str) -> None:
     protocol = load_device(device)
     found = of_data(device)
-    assert all(mutant.protocol != protocol for mutant in found[:: len(found) // COMPARED])
+    assert all(mutant.protocol != protocol for mutant in found)
     assert all(set(mutant.clauses) <= set(protocol.clauses) for mutant in found)
     kinds = {mutant.place.partition(" ")[0] for mutant in found}
-    assert {"object", "pin", "field"} <= kinds
+    assert {"object", "pin", "field", "replace", "register", "condition"} <= kinds
 
 
 def test_there_are_mutants_of_each_kind() -> None:
-    kinds = {m.place.partition(" ")[0] for device in MUTATED for m in of_data(device)}
+    kinds = {m.place.partition(" ")[0] for device in DEVICES for m in of_data(device)}
     assert kinds == {
         "condition",
         "field",
@@ -123,21 +119,40 @@ def test_there_are_mutants_of_each_kind() -> None:
         "replace",
         "row",
     }
-    mistakes = {m.mistake for device in MUTATED for m in of_data(device)}
-    assert {
+    mistakes = {m.mistake for device in DEVICES for m in of_data(device)}
+    assert {mistake.partition(" of ")[0].partition(", with")[0] for mistake in mistakes} == {
         "another default",
         "another range",
+        "another reply",
         "another reset value",
         "another right",
         "another type",
+        "another value",
         "as in the standard",
+        "elsewhere",
         "mappable",
+        "maps more bits",
         "missing",
         "not mappable",
+        "one bit higher",
+        "one bit lower",
         "shows",
+        "the contrary",
         "the other way",
+        "there",
         "written in other states",
-    } <= mistakes
+    }
+
+
+def test_a_closed_dictionary_and_states_to_read_in_have_mutants_too(tmp_path: Path) -> None:
+    file = tmp_path / "mine.ecs"
+    late = "  0x2003 : 0 late u16 ro readable in { OP } = 7 [MINE-C2]\n"
+    text = TEXT.replace("\ncondition", f"{late}\ndictionary closed [MINE-C2]\n\ncondition")
+    file.write_text(text, encoding="utf-8")
+    found = data_mutants(load_file(str(file)), load_standard(), "MINE-C2")
+    mistakes = {mutant.mistake: mutant for mutant in found}
+    assert mistakes["one object more"].place == "dictionary"
+    assert mistakes["read in other states"].place == "object 0x2003:00"
 
 
 # --- measuring ------------------------------------------------------------------------------------

@@ -836,7 +836,7 @@ MISSING: Final[Mapping[str, tuple[str, Mistake]]] = {
     ),
     "transfers: sdo/transfer/beyond_and": (
         DRIVE,
-        ("sdo.segment_beyond", EARLY, "toggle ==", "received > size and not sdo.late"),
+        ("sdo.segment_beyond", EARLY, "toggle ==", "too_much and not sdo.late"),
     ),
     "transfers: sdo/transfer/too_early_and": (
         DRIVE,
@@ -844,7 +844,7 @@ MISSING: Final[Mapping[str, tuple[str, Mistake]]] = {
             "sdo.segment_last_too_early",
             EARLY,
             "toggle ==",
-            "last and received < size and not sdo.late",
+            "last and not too_much and received < size and not sdo.late",
         ),
     ),
     "server: sdo/server/idle/download_read_only_too_short": (

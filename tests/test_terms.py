@@ -298,7 +298,7 @@ def test_guards_and_updates_agree_with_the_interpreter(device: str, conditions: 
             rows = [r for r in rows_of(machine) if r.input == source.name]
             terms = {r.name: meaning.truth(r.guard, moment) for r in rows}
             inside = frozenset[str]().union(*map(meaning.symbols.inside, terms.values()))
-            for _ in range(24):
+            for _ in range(40):
                 state = shaken(random, model, random.choice(reachable(device)))
                 event = event_of(random, model, machine.name, source.name, state)
                 environment = Environment(state.slots, state.known(), event.parameters)

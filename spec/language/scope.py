@@ -20,6 +20,7 @@ input, `machine.variable`, `machine.state`, `register.field`, `word.field`, `par
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.ir import (
@@ -472,13 +473,22 @@ def _origin(protocol: Protocol, kind: str, origin: str) -> dict[str, Type]:
 
 def nodes_in(node: object) -> Iterator[object]:
     """All parts of a declaration, itself included, wherever they stand in it."""
-    if isinstance(node, tuple):
-        for part in node:
-            yield from nodes_in(part)
-    elif is_dataclass(node):
-        yield node
-        for field in fields(node):
-            yield from nodes_in(getattr(node, field.name))
+    rest = [node]
+    while rest:
+        part = rest.pop()
+        if isinstance(part, tuple):
+            rest += reversed(part)
+            continue
+        names = _names_of_fields(type(part))
+        if names is not None:
+            yield part
+            rest += (getattr(part, name) for name in names)
+
+
+@cache
+def _names_of_fields(kind: type) -> tuple[str, ...] | None:
+    """The fields of a dataclass, the last first; None: it is none."""
+    return tuple(f.name for f in reversed(fields(kind))) if is_dataclass(kind) else None
 
 
 def names_in(expression: Expression | Range) -> Iterator[str]:

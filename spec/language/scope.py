@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never, cast
 
 from ecatspec.spec.language.ir import (
     AnyValue,
@@ -46,7 +46,7 @@ from ecatspec.spec.language.ir import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Hashable, Iterator
 
     from ecatspec.spec.language.ir import Expression, Input, Protocol
 
@@ -479,14 +479,14 @@ def nodes_in(node: object) -> Iterator[object]:
         if isinstance(part, tuple):
             rest += reversed(part)
             continue
-        names = _names_of_fields(type(part))
+        names = _names_of_fields(cast("Hashable", type(part)))  # mypy 2 doubts it
         if names is not None:
             yield part
             rest += (getattr(part, name) for name in names)
 
 
 @cache
-def _names_of_fields(kind: type) -> tuple[str, ...] | None:
+def _names_of_fields(kind: Hashable) -> tuple[str, ...] | None:
     """The fields of a dataclass, the last first; None: it is none."""
     return tuple(f.name for f in reversed(fields(kind))) if is_dataclass(kind) else None
 

@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _ROUNDS: Final = ((24, 10), (80, 40))
-"""So many violations of a clause are tried, in so many cases each, until one is found."""
+"""Violations of a clause, and cases for each, that a first and a second round try at most."""
 _WAYS: Final = 12
-"""So many cases that need an AL state tell whether a device ever comes there."""
+"""Cases, the shortest first, that try to bring a device to an AL state."""
 _CITED: Final = 6
-"""So many more violations are tried for one whose finding names the clause."""
+"""Further violations that are tried for one whose finding cites the clause."""
 
 
 _Log: TypeAlias = tuple[tuple[str, tuple[object, ...], object], ...]

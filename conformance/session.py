@@ -78,7 +78,7 @@ ABORT = "sdo_abort"
 _FLOOD = 64
 """More messages at once than a device can have reason for."""
 UNASKED: Final = 1024
-"""So many messages that nobody asked for are read in a case at most."""
+"""Unsolicited messages that are read in a case at most."""
 LOOKS: Final = 64
 """So often it is looked at most for what is still to come of one stimulus."""
 SEGMENTS: Final = 4096

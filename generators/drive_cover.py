@@ -134,9 +134,10 @@ def _others(model: Model) -> Iterator[Symbol]:
         if value & ~bits == 0 and value not in known.values():
             yield f"word_{value:04X}", WriteOutputs({CONTROL: value})
     halted = known["halt"] & ~known["enable_operation"]
-    for name, value in known.items():
-        if value | halted not in known.values():
-            yield f"{name}_halted", WriteOutputs({CONTROL: value | halted})
+    for word, more in (("halted", halted), ("with_fault_reset", known["fault_reset"])):
+        for name, value in known.items():
+            if value | more not in known.values():
+                yield f"{name}_{word}", WriteOutputs({CONTROL: value | more})
 
 
 def _symbols(model: Model) -> Iterator[Symbol]:
@@ -269,11 +270,14 @@ def _resets(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     reset = WriteOutputs({CONTROL: commands(model)["fault_reset"]})
     held = (Happen("ds402.fault"), reset, Happen("ds402.fault_gone"), Wait(_LONG), reset)
     before = (reset, Happen("ds402.fault"), Happen("ds402.fault_gone"), Wait(_LONG), reset)
+    reset_once = (Happen("ds402.fault"), Happen("ds402.fault_gone"), Wait(_LONG), reset)
     zero = WriteOutputs({CONTROL: 0})
     for name in (_ENABLED, "SWITCH_ON_DISABLED"):
         if name in ways:
             yield _in(model, f"reset_held/{name}", (*_of(ways[name]), *held, zero, reset))
             yield _in(model, f"reset_before/{name}", (*_of(ways[name]), *before, zero, reset))
+            twice = (*reset_once, zero, *reset_once, zero)
+            yield _in(model, f"reset_twice/{name}", (*_of(ways[name]), *twice))
 
 
 def _early(model: Model) -> Iterator[Case]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.generators.assignment import set_entry
 from ecatspec.generators.bringup import case_in
 from ecatspec.generators.transfers import download, upload
 from ecatspec.spec.language.ir import Binary, Call, In, Literal, Name, Range, SInt, UInt
@@ -12,7 +13,7 @@ from ecatspec.spec.language.scope import nodes_in
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.generators.case import Case, Limits
+    from ecatspec.generators.case import Case, Limits, Stimulus
     from ecatspec.model.compiled import Model
     from ecatspec.spec.language.ir import Definition, Protocol, Rule
 
@@ -31,13 +32,21 @@ def named_cover(model: Model, _: Limits) -> Iterator[Case]:
         sent = [download(index, 0, bytes(1))]
         yield case_in(model, f"sdo/named_written/{key}", f"download to {what}", sent)
     entries = {(entry.index, entry.subindex): entry for entry in model.protocol.objects}
-    for number, subindex, value in _named_values(model.protocol):
+    named = _named_values(model.protocol)
+    for number, subindex, value in named:
         entry = entries.get((number, subindex))
         if entry is None or not isinstance(entry.type, UInt | SInt):
             continue
         name = f"sdo/named_value/{number:04X}_{subindex:02X}/{value}"
-        data = value.to_bytes(entry.type.width // 8, "little")
-        sent = [download(number, subindex, data), upload(number, subindex)]
+        sent: list[Stimulus] = [set_entry(model, number, subindex, value), upload(number, subindex)]
+        if model.sets_up(number) and (subindex or value):
+            # entries change while their number is 0, and the number counts what is there
+            first = (
+                [n for n in named if n[0] == number and 0 < n[1] <= value] if not subindex else []
+            )
+            cleared = dict.fromkeys((*model.image.assignments.values(), number))
+            before = [set_entry(model, index, 0, 0) for index in cleared]
+            sent = [*before, *(set_entry(model, *each) for each in first), *sent]
         yield case_in(model, name, f"{entry.name} written with {value}, which the texts name", sent)
 
 
@@ -48,19 +57,27 @@ def _named_values(protocol: Protocol) -> list[tuple[int, int, int]]:
         for node in nodes_in(definition.value):
             if not isinstance(node, Binary) or node.operator != "and":
                 continue
-            numbers: dict[str, int] = {}
+            subindex: int | None = None
+            indices: list[int] = []
             values: list[int] = []
             for part in nodes_in(node):
                 match part:
-                    case Binary("==", Name(path=path), Literal(value=number)):
-                        numbers.setdefault(path, int(number))
+                    case Binary("==", Name(path="subindex"), Literal(value=number)):
+                        subindex = int(number)
+                    case Binary("==", Name(path=path), Literal() as one) if path == _INDEX:
+                        indices += _ends(one)
+                    case In(operand=Name(path=path), items=items) if path == _INDEX:
+                        indices += [end for item in items for end in _ends(item)]
+                    case Binary("==", Call("number", (Name(path="value"),)), Literal() as one):
+                        values += _ends(one)
                     case In(operand=Call("number", (Name(path="value"),)), items=items):
                         values += [end for item in items for end in _ends(item)]
                     case _:
                         pass
-            if "index" in numbers and "subindex" in numbers:
-                key = numbers["index"], numbers["subindex"]
-                found |= dict.fromkeys((*key, value) for value in values)
+            if subindex is not None:
+                found |= dict.fromkeys(
+                    (index, subindex, value) for index in indices for value in values
+                )
     return list(found)
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.assignment import brought_up, first_assigned
+from ecatspec.generators.assignment import brought_up, first_assigned, set_entry
 from ecatspec.generators.bringup import WATCHDOG, has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
     Happen,
     Probe,
+    ReadConfiguration,
     SetUpProcessData,
     Stimulus,
     StopOutputs,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _OUTPUTS, _INPUTS = PROCESS_DATA
 _MICROSECONDS = 25
 """Ticks of 40 ns in one microsecond."""
+_BYTE = 8
 _SOON = 1000
 """Microseconds after the watchdog had to expire in virtual time, which is exact."""
 
@@ -46,6 +48,9 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
     used = _used(model)
     for name, set_up in wrong_process_data(model).items():
         yield _refused(model, name, set_up)
+        if name.startswith(("off_", "too_long_")):
+            yield _refused(model, name, set_up, later=True)
+    yield from _fewer(model)
     if _OUTPUTS in used:
         yield from _way_to_op(model)
         yield from _watchdog(model)
@@ -131,10 +136,36 @@ def wrong_process_data(model: Model) -> dict[str, SetUpProcessData]:
     return found
 
 
-def _refused(model: Model, name: str, settings: SetUpProcessData) -> Case:
+def _refused(model: Model, name: str, settings: SetUpProcessData, *, later: bool = False) -> Case:
+    """Give a way to SAFEOP with wrong settings, then with right ones; `later`: from SAFEOP."""
     off = tuple(WriteRegister(f"{n}_activation", {"enabled": 0}) for n in PROCESS_DATA)
     again: tuple[Stimulus, ...] = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
-    return _case(model, name, (settings, _to(model, "SAFEOP"), *again), "PREOP")
+    wrong = (settings, _to(model, "SAFEOP"), *again)
+    if later:
+        return _case(model, f"later/{name}", (_to(model, "PREOP"), *off, *wrong), "SAFEOP")
+    return _case(model, name, (*first_assigned(model), *wrong), "PREOP")
+
+
+def _fewer(model: Model) -> Iterator[Case]:
+    """Yield settings as they were before an entry less is mapped in one direction."""
+    state = brought_up(model)
+    objects = state.known()
+    off = tuple(WriteRegister(f"{n}_activation", {"enabled": 0}) for n in PROCESS_DATA)
+    right = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
+    for name, index in zip(PROCESS_DATA, model.image.assignments.values(), strict=True):
+        pdo = int.from_bytes(objects.get((index, 1), b""), "little")
+        numbers = [objects.get(key, b"\0")[0] for key in ((index, 0), (pdo, 0))]
+        counts = [model.dictionary.entries.get((number, 0)) for number in (index, pdo)]
+        writable = all(c is not None and c.access is Access.BOTH for c in counts)
+        if not writable or not model.has_mailbox or not numbers[0] or numbers[1] <= 1:
+            continue
+        last = int.from_bytes(objects.get((pdo, numbers[1]), b""), "little")
+        cleared = (set_entry(model, index, 0, 0), set_entry(model, pdo, 0, 0))
+        counted = (set_entry(model, pdo, 0, numbers[1] - 1), set_entry(model, index, 0, numbers[0]))
+        fewer = (*first_assigned(model), *cleared, *counted, ReadConfiguration())
+        as_before = SetUpProcessData(longer={name: (last & 0xFF) // _BYTE})
+        done = (*fewer, as_before, _to(model, "SAFEOP"), *right)
+        yield _case(model, f"fewer_{name}", done, "PREOP")
 
 
 def _way_to_op(model: Model) -> Iterator[Case]:

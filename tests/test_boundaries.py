@@ -61,7 +61,7 @@ FAULTS = [
 
 @cache
 def covered(device: str) -> BoundaryCases:
-    return boundary_cases(Model(load_device(device)))
+    return boundary_cases(Model(load_device(device)), () if device == DEVICE else SMALL)
 
 
 @cache
@@ -173,7 +173,7 @@ def test_a_sound_device_passes_every_case(device: str) -> None:
     adapter = make(device, {})
     runner = resumed(Model(load_device(device)), adapter)
     cases = covered(device).cases
-    assert len(cases) > 300
+    assert len(cases) > 200
     verdicts = [runner.judge(case) for case in cases]
     assert [v for v in verdicts if v.outcome is not Outcome.PASS] == []
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -24,42 +23,61 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Protocol
 
 VIOLATIONS: Final = tuple(violations())
-DRAWN: Final = 60
-FOUND_AT_LEAST: Final = 57
-WHOLE: Final = bool(os.environ.get("ECATSPEC_WHOLE"))
-"""All violations are planted, not each fourth, as `make test` does for its time."""
+DRAWN: Final = 3 * 60
+"""60 claims each, drawn with the seeds 20, 21 and 23 from the demands that can be tested."""
+MISSED: Final = {
+    "AFAG-065",
+    "AFAG-167",
+    "AFAG-264",
+    "AKD-043",
+    "AKD-086",
+    "AKD-295",
+    "AKD-445",
+    "DIS2-130",
+    "DIS2-157",
+    "DIS2-159",
+    "S300-129",
+}
 WAYS: Final = 12
-"""So many cases that need an AL state tell whether a device ever comes there."""
+"""Cases, the shortest first, that try to bring a device to an AL state."""
+
+
+@cache
+def model(device: str) -> Model:
+    return Model(load_device(device))
 
 
 @cache
 def cases(device: str) -> dict[str, Case]:
-    return {case.name: case for case in all_cases(Model(load_device(device)), NO_LIMITS)}
+    return {case.name: case for case in all_cases(model(device), NO_LIMITS)}
 
 
 def runner(device: str, protocol: Protocol) -> Runner:
     made = VirtualAdapter(VirtualSubDevice(protocol), described(protocol))
     adapter = Guarded(made)
-    return Runner(Model(load_device(device)), adapter, adapter.describe())
+    return Runner(model(device), adapter, adapter.describe())
 
 
-def test_sixty_claims_are_drawn_and_all_but_few_found() -> None:
+@cache
+def sound(device: str, name: str) -> Outcome:
+    return runner(device, load_device(device)).judge(cases(device)[name]).outcome
+
+
+def test_of_the_claims_that_were_drawn_all_but_few_are_found() -> None:
     assert len({violation.claim for violation in VIOLATIONS}) == len(VIOLATIONS) == DRAWN
-    assert sum(bool(violation.case) for violation in VIOLATIONS) >= FOUND_AT_LEAST
+    assert {violation.claim for violation in VIOLATIONS if not violation.case} == MISSED
 
 
 @pytest.mark.parametrize(
-    "violation", VIOLATIONS if WHOLE else VIOLATIONS[::4], ids=lambda violation: violation.claim
+    "violation", [v for v in VIOLATIONS if v.case], ids=lambda violation: violation.claim
 )
 def test_a_violation_is_found(violation: Violation) -> None:
-    sound = load_device(violation.device)
+    text = load_device(violation.device)
     protocol = violation.protocol()
-    assert protocol != sound
-    assert any(violation.claim in clause.claims for clause in sound.clauses.values())
-    if not violation.case:
-        pytest.skip("no case finds it")
+    assert protocol != text
+    assert any(violation.claim in clause.claims for clause in text.clauses.values())
     case = cases(violation.device)[violation.case]
-    assert runner(violation.device, sound).judge(case).outcome not in FOUND
+    assert sound(violation.device, violation.case) not in FOUND
     wrong = runner(violation.device, protocol)
     outcome = wrong.judge(case).outcome
     if outcome is Outcome.INCONCLUSIVE:  # it never comes to the state: the run shows nothing

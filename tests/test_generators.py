@@ -46,21 +46,21 @@ GOLDEN = {
         "initial": 11,
         "registers": 38,
         "transitions": 838,
-        "process": 54,
+        "process": 60,
         "events": 36,
         "configuration": 208,
-        "drive": 632,
+        "drive": 670,
         "mailbox": 70,
         "examples": 1,
         "sdo": 692,
-        "named": 17,
+        "named": 34,
         "transfers": 692,
         "complete": 301,
         "server": 182,
         "information": 160,
         "families": 491,
-        "quick": 3017,
-        "default": 3619,
+        "quick": 3078,
+        "default": 3680,
     },
     "reference": {
         "initial": 41,
@@ -106,10 +106,10 @@ GOLDEN = {
         "initial": 61,
         "registers": 37,
         "transitions": 758,
-        "process": 54,
+        "process": 62,
         "events": 38,
         "configuration": 123,
-        "drive": 714,
+        "drive": 746,
         "mailbox": 70,
         "examples": 0,
         "sdo": 774,
@@ -119,17 +119,17 @@ GOLDEN = {
         "server": 300,
         "information": 136,
         "families": 485,
-        "quick": 3387,
-        "default": 3974,
+        "quick": 3427,
+        "default": 4014,
     },
     "kollmorgen-s300": {
         "initial": 4,
         "registers": 38,
         "transitions": 838,
-        "process": 54,
+        "process": 60,
         "events": 38,
         "configuration": 55,
-        "drive": 652,
+        "drive": 690,
         "mailbox": 70,
         "examples": 0,
         "sdo": 105,
@@ -139,8 +139,8 @@ GOLDEN = {
         "server": 180,
         "information": 46,
         "families": 491,
-        "quick": 2638,
-        "default": 2691,
+        "quick": 2682,
+        "default": 2735,
     },
 }
 """Cases of each generator and of a quick run: a change of a text changes them knowingly."""
@@ -444,7 +444,10 @@ class Sweep:
         reached = adapter(device, shape)
         vars(reached)["seen"] = self.inside
         runner = resumed(self.oracle, reached)
+        takes_none = way.get("value_accepted") is False
         for case in cases:
+            if takes_none and case.name.startswith("sdo/takes"):
+                continue  # it is blamed there, and rightly
             self.inside.rules.clear()
             runner.rules = set()
             verdict = runner.judge(case)

@@ -120,6 +120,8 @@ class _Checker:
     def __init__(self, protocol: Protocol) -> None:
         self._protocol = protocol
         self._found: dict[Diagnostic, None] = {}
+        self._kinds: dict[tuple[str, Scope, Kind | None], Kind | None] = {}
+        """Definitions that were walked: what is wrong inside is noted once for a scope."""
 
     def of_phase(self, phase: str) -> list[Diagnostic]:
         """The findings whose code begins with this digit."""
@@ -702,7 +704,11 @@ class _Checker:
             self._unresolved(name, error, scope, expected)
             return None
         if isinstance(ref, DefinitionRef):
-            return self._walk(self._protocol.definitions[ref.name].value, scope, expected)
+            key = (ref.name, scope, expected)
+            if key not in self._kinds:
+                value = self._protocol.definitions[ref.name].value
+                self._kinds[key] = self._walk(value, scope, expected)
+            return self._kinds[key]
         if isinstance(ref, ConstantRef) and not isinstance(expected, Named):
             self._fits(ref.value, expected, name.at)
         return kind_of_ref(self._protocol, ref, scope)

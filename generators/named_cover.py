@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ecatspec.generators.assignment import set_entry
 from ecatspec.generators.bringup import case_in
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Definition, Protocol, Rule
 
 _INDEX: Final = "index"
+_Named: TypeAlias = tuple[int, int, int]
+"""An entry and a value: index, subindex, number."""
 
 
 def named_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -33,26 +35,34 @@ def named_cover(model: Model, _: Limits) -> Iterator[Case]:
         yield case_in(model, f"sdo/named_written/{key}", f"download to {what}", sent)
     entries = {(entry.index, entry.subindex): entry for entry in model.protocol.objects}
     named = _named_values(model.protocol)
-    for number, subindex, value in named:
-        entry = entries.get((number, subindex))
+    for each in named:
+        index, subindex, value = each
+        entry = entries.get((index, subindex))
         if entry is None or not isinstance(entry.type, UInt | SInt):
             continue
-        name = f"sdo/named_value/{number:04X}_{subindex:02X}/{value}"
-        sent: list[Stimulus] = [set_entry(model, number, subindex, value), upload(number, subindex)]
-        if model.sets_up(number) and (subindex or value):
-            # entries change while their number is 0, and the number counts what is there
-            first = (
-                [n for n in named if n[0] == number and 0 < n[1] <= value] if not subindex else []
-            )
-            cleared = dict.fromkeys((*model.image.assignments.values(), number))
-            before = [set_entry(model, index, 0, 0) for index in cleared]
-            sent = [*before, *(set_entry(model, *each) for each in first), *sent]
-        yield case_in(model, name, f"{entry.name} written with {value}, which the texts name", sent)
+        name = f"sdo/named_value/{index:04X}_{subindex:02X}/{value}"
+        title = f"{entry.name} written with {value}, which the texts name"
+        before = _before(model, named, each)
+        done = [*before, set_entry(model, index, subindex, value), upload(index, subindex)]
+        yield case_in(model, name, title, done)
 
 
-def _named_values(protocol: Protocol) -> list[tuple[int, int, int]]:
+def _before(model: Model, named: list[_Named], value: _Named) -> Iterator[Stimulus]:
+    """Yield what makes room for a value: entries change while their number is 0 and count then."""
+    index, subindex, number = value
+    if not model.sets_up(index) or not (subindex or number):
+        return
+    for cleared in dict.fromkeys((*model.image.assignments.values(), index)):
+        yield set_entry(model, cleared, 0, 0)
+    if not subindex:
+        for each in named:
+            if each[0] == index and 0 < each[1] <= number:
+                yield set_entry(model, *each)
+
+
+def _named_values(protocol: Protocol) -> list[_Named]:
     """Give the values that definitions name for an entry: index, subindex and value."""
-    found: dict[tuple[int, int, int], None] = {}
+    found: dict[_Named, None] = {}
     for definition in protocol.definitions.values():
         for node in nodes_in(definition.value):
             if not isinstance(node, Binary) or node.operator != "and":

@@ -138,20 +138,26 @@ def wrong_process_data(model: Model) -> dict[str, SetUpProcessData]:
 
 def _refused(model: Model, name: str, settings: SetUpProcessData, *, later: bool = False) -> Case:
     """Give a way to SAFEOP with wrong settings, then with right ones; `later`: from SAFEOP."""
-    off = tuple(WriteRegister(f"{n}_activation", {"enabled": 0}) for n in PROCESS_DATA)
-    again: tuple[Stimulus, ...] = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
-    wrong = (settings, _to(model, "SAFEOP"), *again)
+    wrong: tuple[Stimulus, ...] = (settings, _to(model, "SAFEOP"), *_anew(model))
     if later:
-        return _case(model, f"later/{name}", (_to(model, "PREOP"), *off, *wrong), "SAFEOP")
+        return _case(model, f"later/{name}", (_to(model, "PREOP"), *_off(), *wrong), "SAFEOP")
     return _case(model, name, (*first_assigned(model), *wrong), "PREOP")
+
+
+def _off() -> tuple[Stimulus, ...]:
+    """Disable both SyncManagers of process data."""
+    return tuple(WriteRegister(f"{name}_activation", {"enabled": 0}) for name in PROCESS_DATA)
+
+
+def _anew(model: Model) -> tuple[Stimulus, ...]:
+    """Set up process data as they are to be, and go on to SAFEOP."""
+    return (*_off(), SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
 
 
 def _fewer(model: Model) -> Iterator[Case]:
     """Yield settings as they were before an entry less is mapped in one direction."""
     state = brought_up(model)
     objects = state.known()
-    off = tuple(WriteRegister(f"{n}_activation", {"enabled": 0}) for n in PROCESS_DATA)
-    right = (*off, SetUpProcessData(), _to(model, "SAFEOP", acknowledge=True))
     for name, index in zip(PROCESS_DATA, model.image.assignments.values(), strict=True):
         pdo = int.from_bytes(objects.get((index, 1), b""), "little")
         numbers = [objects.get(key, b"\0")[0] for key in ((index, 0), (pdo, 0))]
@@ -164,7 +170,7 @@ def _fewer(model: Model) -> Iterator[Case]:
         counted = (set_entry(model, pdo, 0, numbers[1] - 1), set_entry(model, index, 0, numbers[0]))
         fewer = (*first_assigned(model), *cleared, *counted, ReadConfiguration())
         as_before = SetUpProcessData(longer={name: (last & 0xFF) // _BYTE})
-        done = (*fewer, as_before, _to(model, "SAFEOP"), *right)
+        done: tuple[Stimulus, ...] = (*fewer, as_before, _to(model, "SAFEOP"), *_anew(model))
         yield _case(model, f"fewer_{name}", done, "PREOP")
 
 

@@ -69,7 +69,12 @@ def test_of_the_claims_that_were_drawn_all_but_few_are_found() -> None:
 
 
 @pytest.mark.parametrize(
-    "violation", [v for v in VIOLATIONS if v.case], ids=lambda violation: violation.claim
+    "violation",
+    [
+        pytest.param(v, id=v.claim, marks=pytest.mark.xdist_group(f"claims of {v.device}"))
+        for v in VIOLATIONS
+        if v.case
+    ],
 )
 def test_a_violation_is_found(violation: Violation) -> None:
     text = load_device(violation.device)

@@ -1,4 +1,4 @@
-"""The only place for evidence: which violation of a clause is found by which case.
+"""The only place for evidence: violations of clauses, each with the case that finds it.
 
 What a violation is: a planted fault of the clause, or a mutant of what rests on it. Evidence is
 measured (`measure`) and kept in a file per device; here it is read, and held against the texts as

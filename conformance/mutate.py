@@ -122,7 +122,7 @@ class Heard:
         self._exchange(self.adapter.advance, seconds)
 
     def local(self, event: str) -> None:
-        """Make a local event befall the device."""
+        """Raise a local event in the device."""
         self._exchange(self.adapter.local, event)
 
     def close(self) -> None:

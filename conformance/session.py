@@ -471,7 +471,7 @@ class Session:
                 return
             self._unasked += self.oracle.judges_mail()
             if self._unasked > UNASKED:
-                why = f"the device sends messages without end: {UNASKED} that nobody asked for"
+                why = f"the device sends messages without end: {UNASKED} were unsolicited"
                 raise InconclusiveError(why)
 
     def _read_ahead(self) -> None:

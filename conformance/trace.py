@@ -1,4 +1,4 @@
-"""The only place for traceability: clause, where it is specified, which cases exercise it.
+"""The only place for traceability: from a clause to its rules and to the cases that exercise it.
 
 That a run goes by a rule does not say that it would notice a mistake there: evidence says that.
 """

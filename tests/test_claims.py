@@ -32,6 +32,7 @@ MISSED: Final = {
     "AKD-043",
     "AKD-086",
     "AKD-295",
+    "AKD-394",
     "AKD-445",
     "DIS2-130",
     "DIS2-157",

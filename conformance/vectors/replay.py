@@ -35,7 +35,7 @@ _FIRST: Final = 500
 _SLOWER: Final = 4
 """Each wait for the same is so much longer than the one before."""
 _FLOOD: Final = 64
-"""More messages that nobody asked for than a device can have reason for."""
+"""More unsolicited messages than a device can have reason for."""
 
 
 class _End(Exception):  # noqa: N818
@@ -98,10 +98,8 @@ class Player:
             reason = f"went another way in step {self._number}, which is allowed: not tried further"
             return Verdict(test.id, Outcome.PASS, test.comment, reason)
         except _NoEnd:
-            reason = (
-                f"sends messages without end in step {self._number}: {_FLOOD} that nobody asked"
-            )
-            return Verdict(test.id, Outcome.INCONCLUSIVE, test.comment, f"{reason} for")
+            reason = f"sends messages without end in step {self._number}: {_FLOOD} were unsolicited"
+            return Verdict(test.id, Outcome.INCONCLUSIVE, test.comment, reason)
         except _Fault as fault:
             return self._failure(test, last, fault)
         except (DeviceCrash, DeviceHang, DeviceRubbish) as death:

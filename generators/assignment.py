@@ -42,10 +42,11 @@ def set_entry(model: Model, index: int, subindex: int, value: int) -> Stimulus:
     return download(index, subindex, encode_value(entry, value))
 
 
-def assign(model: Model, index: int, pdo: int) -> tuple[Stimulus, ...]:
-    """Assign one PDO and read what it maps, without which no settings fit."""
-    clear, one = set_entry(model, index, 0, 0), set_entry(model, index, 0, 1)
-    return clear, set_entry(model, index, 1, pdo), one, ReadConfiguration()
+def assign(model: Model, index: int, *pdos: int) -> tuple[Stimulus, ...]:
+    """Assign PDOs and read what they map, without which no settings fit."""
+    clear, count = (set_entry(model, index, 0, number) for number in (0, len(pdos)))
+    entries = (set_entry(model, index, place, pdo) for place, pdo in enumerate(pdos, 1))
+    return clear, *entries, count, ReadConfiguration()
 
 
 def entry_of(model: Model, key: ObjectKey) -> int:
@@ -75,6 +76,23 @@ def assign_all(model: Model, keys: tuple[ObjectKey, ...]) -> tuple[Stimulus, ...
             count = set_entry(model, pdo, 0, len(keys))
             return (*clear, *entries, count, *assign(model, index, pdo))
     return ()
+
+
+def assign_apart(
+    model: Model, name: str, first: ObjectKey, second: ObjectKey
+) -> tuple[Stimulus, ...]:
+    """Assign two PDOs of a SyncManager that hold an entry each; nothing where none can."""
+    index = model.image.assignments[name]
+    if (index, 2) not in model.dictionary.entries or is_fixed(model, index):
+        return ()
+    pdos = [pdo for pdo in pdos_of(model, name) if not is_fixed(model, pdo)][:2]
+    if len(pdos) <= 1:
+        return ()
+    mapped: list[Stimulus] = [set_entry(model, index, 0, 0)]
+    for pdo, key in zip(pdos, (first, second), strict=True):
+        mapped += [set_entry(model, pdo, 0, 0), set_entry(model, pdo, 1, entry_of(model, key))]
+        mapped.append(set_entry(model, pdo, 0, 1))
+    return (*mapped, *assign(model, index, *pdos))
 
 
 @once

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.assignment import assign_all, brought_up
+from ecatspec.generators.assignment import assign_all, assign_apart, brought_up
 from ecatspec.generators.bringup import has_process_data, request, way_to
 from ecatspec.generators.case import (
     Case,
@@ -86,9 +86,11 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
                 yield _case(model, (*way, kept, symbol))
         for symbol in _others(model):
             yield _case(model, (*way, symbol))
+    yield from _up_again(model, device, shortest)
     yield from _leaving(model, shortest)
     yield from _options(model, shortest)
     yield from _mapped_modes(model)
+    yield from _second_pdo(model)
     yield from _reads(model, shortest)
     yield from _resets(model, shortest)
     yield from _early(model)
@@ -220,6 +222,17 @@ def _reads(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     if status is not None:
         for name, way in ways.items():
             yield _in(model, f"status_by_sdo/{name}", (*_of(way), upload(*status)))
+
+
+def _up_again(model: Model, device: VirtualSubDevice, ways: dict[str, Way]) -> Iterator[Case]:
+    """Yield the way up after each transition: a state is the same however it was reached."""
+    known = commands(model)
+    up = tuple(WriteOutputs({CONTROL: known[name]}) for name in _UP)
+    for name, way in ways.items():
+        before = _reached(model, device, way)
+        for symbol in _symbols(model):
+            if _reached(model, device, (*way, symbol)) != before:
+                yield _in(model, f"up_after/{name}/{symbol[0]}", (*_of((*way, symbol)), *up))
 
 
 def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
@@ -401,6 +414,27 @@ def _mapped_modes(model: Model) -> Iterator[Case]:
         done["not_offered_by_sdo"] = (*up, *brought, _set(model, chosen, bad[0]), ask)
     for name, stimuli in done.items():
         yield _in(model, f"mode_mapped/{name}", (*mapped, *stimuli), "PREOP")
+
+
+def _second_pdo(model: Model) -> Iterator[Case]:
+    """Yield the words of a drive in the second of two PDOs: the image holds both."""
+    pairs = ((CHOSEN, CONTROL), ("active_mode", STATUS))
+    known = commands(model)
+    up = tuple(WriteOutputs({CONTROL: known[name]}) for name in ("disable_voltage", "shutdown"))
+    preop = request(model.row("al_state", "PREOP"))
+    for direction, names in zip(model.image.assignments, pairs, strict=True):
+        first, second = (model.protocol.words[name].key for name in names)
+        if (
+            first is None
+            or second is None
+            or not {first, second} <= model.dictionary.entries.keys()
+        ):
+            continue
+        mapped = assign_apart(model, direction, first, second)
+        if mapped:
+            # the first time the drive shows that it has what it needs to be ready
+            again = (preop, *mapped, *_from_preop(model, "OP"), *up)
+            yield _in(model, f"second_pdo/{names[1]}", (*up, *again, *_look(model)))
 
 
 @once

@@ -65,6 +65,8 @@ def _unknown(model: Model) -> Iterator[Case]:
             odd = SendFrame("coe", {"service": service, "body": body})
             name = f"coe/unknown_service/{service}"
             yield case_in(model, name, "a CoE service that no device takes", [odd])
+            title = "a CoE service that no device takes, twice"
+            yield case_in(model, f"coe/unknown_service_twice/{service}", title, [odd, odd])
 
 
 def _counters(model: Model, ask: SendFrame) -> Iterator[Case]:

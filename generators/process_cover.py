@@ -51,6 +51,7 @@ def process_cover(model: Model, _: Limits) -> Iterator[Case]:
         if name.startswith(("off_", "too_long_")):
             yield _refused(model, name, set_up, later=True)
     yield from _fewer(model)
+    yield from _none(model)
     if _OUTPUTS in used:
         yield from _way_to_op(model)
         yield from _watchdog(model)
@@ -79,7 +80,7 @@ def _unwatched(model: Model, used: list[str]) -> Iterator[Case]:
 
 
 def _ignored(model: Model) -> Iterator[Case]:
-    """Yield outputs in PREOP, before and after there were process data, which act nowhere."""
+    """Yield outputs below OP, before and after there were process data, which act nowhere."""
     for name, word in model.protocol.words.items():
         entry = None if word.key is None else model.dictionary.entries.get(word.key)
         if entry is None or entry.access is Access.WRITE or entry.read_states:
@@ -95,6 +96,7 @@ def _ignored(model: Model) -> Iterator[Case]:
             _case(model, f"outputs_in_PREOP_after_OP/{name}", after, "OP"),
         ):
             yield replace(case, about="process_data.outputs_unheard")
+        yield _case(model, f"outputs_in_SAFEOP/{name}", tried, "SAFEOP")
 
 
 def _both_off(model: Model) -> WriteRegisters:
@@ -125,6 +127,7 @@ def wrong_process_data(model: Model) -> dict[str, SetUpProcessData]:
             "too_short": SetUpProcessData(longer={name: -1}),
             "much_too_long": SetUpProcessData(longer={name: 11}),
             "as_mailbox": SetUpProcessData({name: {"mode": mailbox}}),
+            "empty": SetUpProcessData({name: {"length": 0}}),
             "reversed": SetUpProcessData({name: {"direction": direction}}),
             "moved": SetUpProcessData({name: {"start": moved}}),
         }
@@ -172,6 +175,21 @@ def _fewer(model: Model) -> Iterator[Case]:
         as_before = SetUpProcessData(longer={name: (last & 0xFF) // _BYTE})
         done: tuple[Stimulus, ...] = (*fewer, as_before, _to(model, "SAFEOP"), *_anew(model))
         yield _case(model, f"fewer_{name}", done, "PREOP")
+
+
+def _none(model: Model) -> Iterator[Case]:
+    """Yield nothing assigned in one direction, with settings that fit and as they were before."""
+    state = brought_up(model)
+    for name, index in zip(PROCESS_DATA, model.image.assignments.values(), strict=True):
+        count = model.dictionary.entries.get((index, 0))
+        size = image_size(model, state, name)
+        if count is None or count.access is not Access.BOTH or not model.has_mailbox or not size:
+            continue
+        none = (*first_assigned(model), set_entry(model, index, 0, 0), ReadConfiguration())
+        fitting = (SetUpProcessData(), _to(model, "SAFEOP"))
+        yield _case(model, f"none_{name}", (*none, *fitting), "PREOP")
+        as_before = (SetUpProcessData(longer={name: size}), _to(model, "SAFEOP"), *_anew(model))
+        yield _case(model, f"none_as_before_{name}", (*none, *as_before), "PREOP")
 
 
 def _way_to_op(model: Model) -> Iterator[Case]:

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import request, way_to
 from ecatspec.generators.case import Case, Limits, ReadRegister, WriteRegister
-from ecatspec.spec.language.ir import Access
+from ecatspec.generators.transfers import upload
+from ecatspec.spec.language.ir import Access, Name
+from ecatspec.spec.language.scope import nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
 
 _RESERVED = ("identification", "reserved", "application")
 """The fields of AL Control that mean nothing, but for devices that say so."""
+_VALUE = 0x1234
 
 
 def register_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -34,6 +37,27 @@ def register_cover(model: Model, _: Limits) -> Iterator[Case]:
             title = f"{register.name.replace('_', ' ')} written by the MainDevice, without effect"
             yield _in_preop(model, name, title, (WriteRegister(register.name, fields),))
     yield from _reserved_bits(model)
+    yield from _shown_by_entries(model)
+
+
+def _shown_by_entries(model: Model) -> Iterator[Case]:
+    """Yield a value of each register that an entry shows, and the entry after it."""
+    for word in model.protocol.words.values():
+        if word.key not in model.dictionary.entries:
+            continue
+        paths = {node.path for node in nodes_in(word.fields) if isinstance(node, Name)}
+        for path in sorted(paths):
+            name, _, shown = path.partition(".")
+            register = model.protocol.registers.get(name)
+            if register is None or register.main is not Access.BOTH:
+                continue
+            if any(model.views[name]) or name == "al_control":
+                continue
+            field = next(field for field in register.fields if field.name == shown)
+            value = _VALUE & (1 << field.high - field.low + 1) - 1
+            done = (WriteRegister(name, {shown: value}), upload(*word.key))
+            title = f"{shown.replace('_', ' ')} given, which {word.name.replace('_', ' ')} shows"
+            yield _in_preop(model, f"shown/{word.name}/{path}", title, done)
 
 
 def _reserved_bits(model: Model) -> Iterator[Case]:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ecatspec.model.compiled import Model
     from ecatspec.spec.language.ir import ObjectEntry
 
+_TOGETHER = 8
+"""Entries that are written in one case; the last of one is the first of the next."""
 _LAST_INDEX = (1 << 16) - 1
 _LAST_SUBINDEX = (1 << 8) - 1
 
@@ -45,6 +47,7 @@ def sdo_cover(model: Model, limits: Limits) -> Iterator[Case]:
                 yield case_in(model, name, f"upload in {other}", stimuli, state=other)
     for entry in model.protocol.objects:
         yield from _downloads(model, limits, entry)
+    yield from _together(model, limits)
     yield from _missing(model)
     yield from _odd_commands(model)
 
@@ -125,6 +128,26 @@ def _downloads(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Cas
         until = [WriteUntilTaken(entry.index, entry.subindex)]
         yield case_in(model, f"sdo/takes/{name}", title, until, state=state)
     yield from _ranges(model, limits, entry)
+
+
+def _together(model: Model, limits: Limits) -> Iterator[Case]:
+    """Yield entries that are written one after the other, and then read: each keeps its own."""
+    kept = [e for e in model.protocol.objects if e.access is Access.BOTH and _keeps(model, e)]
+    for place in range(0, len(kept) - 1, _TOGETHER - 1):
+        group = kept[place : place + _TOGETHER]
+        stimuli = [s for entry in group for s in write(model, entry, other_sample(entry), limits)]
+        looks = (look for entry in group for look in read(entry.index, entry.subindex))
+        title = f"{len(group)} entries written, then read"
+        name = f"sdo/together/{entry_name(group[0])}"
+        yield case_in(model, name, title, (*stimuli, *looks))
+
+
+def _keeps(model: Model, entry: ObjectEntry) -> bool:
+    """Tell whether an entry holds what was written to it in PREOP, and nothing hangs on it."""
+    everywhere = all(
+        not states or "PREOP" in states for states in (entry.states, entry.read_states)
+    )
+    return everywhere and not entry.volatile and not model.sets_up(entry.index)
 
 
 def _ranges(model: Model, limits: Limits, entry: ObjectEntry) -> Iterator[Case]:

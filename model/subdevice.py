@@ -206,6 +206,7 @@ class VirtualSubDevice:
         free = not outbox.full or Quirk.OVERWRITES in self.quirks
         inbox = self.esc.mailbox(MAIN_OUT)
         if inbox is not None and inbox.full and not self._queue and free:
+            self._registers()
             area = inbox.channel
             message = self.model.decode(self.esc.pdi_read(area.start, area.length))
             if message is not None:

@@ -238,6 +238,8 @@ def _up_again(model: Model, device: VirtualSubDevice, ways: dict[str, Way]) -> I
 def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
     """Yield what takes OP away in each drive state, and the way back."""
     again = tuple(WriteOutputs({CONTROL: value}) for value in (0, 0))
+    known = commands(model)
+    commanded = tuple(WriteOutputs({CONTROL: known[name]}) for name in _UP)
     op = request(model.row("al_state", "OP"))
     safeop = request(model.row("al_state", "SAFEOP"), acknowledge=True)
     options: list[int | None] = [*_values(model, "connection_code")] or [None]
@@ -252,7 +254,7 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
             done = (*_of(way), down, *looks, *every, *looks)
             yield _in(model, f"commands_in_{target}_after_OP/{name}", done)
         down = request(model.row("al_state", "SAFEOP"))
-        yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again))
+        yield _in(model, f"back_in_op/{name}", (*_of(way), down, op, *again, *commanded))
         up = _from_preop(model, "OP")
         preop = request(model.row("al_state", "PREOP"))
         yield _in(model, f"up_again/{name}", (*_of(way), preop, *up, *again))

@@ -97,6 +97,8 @@ def _ignored(model: Model) -> Iterator[Case]:
         ):
             yield replace(case, about="process_data.outputs_unheard")
         yield _case(model, f"outputs_in_SAFEOP/{name}", tried, "SAFEOP")
+        back = (_to(model, "SAFEOP"), *tried)
+        yield _case(model, f"outputs_in_SAFEOP_after_OP/{name}", back, "OP")
 
 
 def _both_off(model: Model) -> WriteRegisters:

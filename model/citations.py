@@ -41,6 +41,9 @@ def citations(protocol: Protocol) -> Iterator[Citation]:
         yield Citation(kind, layout.name, layout.clauses, layout.at)
         for bits in layout.fields:
             yield Citation("field", f"{layout.name}.{bits.name}", bits.clauses, bits.at)
+    for frame in protocol.frames.values():
+        for part in frame.fields:
+            yield Citation("field", f"{frame.name}.{part.name}", part.clauses, part.at)
     for table in protocol.tables.values():
         for row in table.rows:
             yield Citation("row", f"{table.name}.{row.name}", row.clauses, row.at)
@@ -191,6 +194,7 @@ class Foundations:
         while place is not None:
             frame = self._protocol.frames[place]
             yield from frame.clauses
+            yield from (clause for item in frame.fields for clause in item.clauses)
             yield from self._fields.get(place, ())
             yield from self._of_nodes(nodes_in(frame))
             place = frame.parent

@@ -160,6 +160,9 @@ class View:
         return self.value(environment)
 
 
+_NO_RULE = Scope()
+
+
 class Model:
     """One protocol, compiled. `assuming`: conditions as assumed, choices first or pinned."""
 
@@ -374,11 +377,8 @@ class Model:
         table = self.protocol.tables[self.protocol.machines[machine].table]
         return {row.value: row.name for row in table.rows if row.name in wanted}
 
-    def definition(self, name: str) -> Getter:
-        """Give a definition of the texts as a function, in no rule's scope."""
-        return self._definition(name, Scope())
-
-    def _definition(self, name: str, scope: Scope) -> Getter:
+    def definition(self, name: str, scope: Scope = _NO_RULE) -> Getter:
+        """Give a definition of the texts as a function, in no rule's scope or in that of one."""
         if (name, scope) not in self._definitions:
             value = self.protocol.definitions[name].value
             self._definitions[name, scope] = self.expression(value, scope, None)
@@ -466,7 +466,7 @@ class Model:
             case ConstantRef(value=value):
                 return constant(value)
             case DefinitionRef(name=name):
-                return remembered(name, self._definition(name, scope))
+                return remembered(name, self.definition(name, scope))
             case _:
                 assert_never(ref)
 

@@ -131,7 +131,10 @@ def _apply(
         words += came
     limit = within if isinstance(within, int) else 0
     kept = None if rule.later is None else tuple(sorted(event.parameters.items()))
-    outputs = tuple(Output(frame, fields, rule.name, kept, limit) for frame, fields in sends)
+    asked = tuple(event.parameters.items())
+    outputs = tuple(
+        Output(frame, fields, rule.name, kept, limit, asked=asked) for frame, fields in sends
+    )
     resend = rule.name if any(target == RESEND for target, _ in given) else None
     events = tuple(
         e for target, arguments in given for e in _given(model, event, target, arguments)
@@ -386,19 +389,20 @@ def expected_fields(model: Model, state: State, output: Output) -> dict[str, Val
 
 def rule_clauses(model: Model, rule: RuleName) -> tuple[str, ...]:
     """Give the clauses that a rule or gap cites."""
-    row = _row(model, rule)
+    row = row_of(model, rule)
     return () if row is None else row.clauses
 
 
 @once
 def rests_on(model: Model, rule: RuleName) -> frozenset[str]:
     """Give the names on which it depends whether a rule or gap holds."""
-    row = _row(model, rule)
+    row = row_of(model, rule)
     guard = None if row is None else row.guard
     return frozenset(() if guard is None else paths_in(model.protocol, guard))
 
 
 @once
-def _row(model: Model, rule: RuleName) -> Rule | Gap | None:
+def row_of(model: Model, rule: RuleName) -> Rule | Gap | None:
+    """Give a rule or gap by its name."""
     rows = rows_of(model.protocol.machines[rule.machine])
     return next((row for row in rows if row.name == rule.name), None)

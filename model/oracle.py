@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from ecatspec.model.blame import Alternative, blame
 from ecatspec.model.candidates import (
     Candidate,
     Exchange,
@@ -31,7 +32,7 @@ from ecatspec.model.interpreter import (
     forgotten,
     later_fields,
     matches,
-    rule_clauses,
+    row_of,
     step,
 )
 from ecatspec.model.once import once
@@ -61,7 +62,7 @@ from ecatspec.model.shown import (
 )
 from ecatspec.model.state import Event, Output, RuleName, State
 from ecatspec.model.unknowns import any_states, is_open
-from ecatspec.model.values import UNKNOWN, Value, admits, bits_of, is_any
+from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, bits_of, is_any
 from ecatspec.model.words import (
     bytes_words,
     fields_words,
@@ -69,11 +70,11 @@ from ecatspec.model.words import (
     reason_words,
     register_words,
 )
-from ecatspec.spec.language.ir import Access
+from ecatspec.spec.language.ir import Access, Rule
 from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from collections.abc import Set as AbstractSet
 
     from ecatspec.model.codec import Message
@@ -94,6 +95,9 @@ _OWN_REASON = RuleName("sdo", "value_refused")
 """The rule by which a device refuses a value for a reason of its own."""
 _REASONS = "told_reason"
 """The table of the abort codes that say of themselves why a value is refused."""
+_ASKED = frozenset({"write", "frame", "outputs", "word"})
+"""Kinds of inputs that come from the MainDevice."""
+_VALUE = "value"
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
 
@@ -117,6 +121,8 @@ class Oracle:
     """The first observation since a request that only an accident explains."""
     _grown: Grown | None = None
     """What the candidates grew to when they were looked at last."""
+    _asked: int = 0
+    """Rules that every explanation had gone by when the MainDevice wrote last."""
     _idle: set[tuple[int, bytes, int]] = field(default_factory=set)
     """Reads (address, data, working counter) that told nothing of the candidates `_idle_of`."""
     _idle_of: Explanations = field(default_factory=dict)
@@ -141,6 +147,7 @@ class Oracle:
         self.lost = False
         self.advice = {}
         self._suspicion = None
+        self._asked = 0
         self.written = 0
 
     def unknown(self, *, keep: bool = False) -> None:
@@ -155,6 +162,7 @@ class Oracle:
     def observe(self, exchange: Exchange) -> Mismatch | None:
         """Take one exchange into account; tell the mismatch, if there is one."""
         if exchange.write:
+            self._asked = min(map(len, self.candidates.values()), default=0)
             return self._write(exchange)
         look = exchange.address, exchange.data, exchange.working_counter
         grown = self._grown
@@ -281,6 +289,7 @@ class Oracle:
 
     def happened(self, machine: str, event: str, time: int) -> None:
         """Take it that somebody made this local event befall the device."""
+        self._asked = min(map(len, self.candidates.values()), default=0)
         self.candidates = {
             self._having(candidate, Event(machine, event, {}), time): history
             for candidate, history in self.expanded(time).items()
@@ -354,6 +363,7 @@ class Oracle:
             c.befell or len(h) > len({r.machine for r in h}) for c, h in self.candidates.items()
         ):
             return
+        self._asked = 0
         self.candidates = {
             replace(candidate, befell=()): tuple({rule.machine: rule for rule in history}.values())
             for candidate, history in self.candidates.items()
@@ -534,10 +544,10 @@ class Oracle:
                 after.append((candidate, history))
         if not after:
             expected = ("the device takes the outputs",)
-            rules = _last(refused, {"process_data", "al"})
             clauses = self.model.protocol.definitions["outputs_demanded"].clauses
             observed = "refused: working counter 0"
-            return self._mismatch(exchange, "outputs", expected, observed, rules, clauses)
+            by = _alternatives(refused, {"process_data", "al"})
+            return self._mismatch(exchange, "outputs", expected, observed, by, clauses)
         self.candidates = widened(after)
         return None
 
@@ -589,9 +599,9 @@ class Oracle:
             after[candidate.expecting(inbox)] = history
         if concerned and not after:
             expected = ("the mailbox takes the request",)
-            rules = _last(refused, {MAILBOX})
+            by = _alternatives(refused, {MAILBOX})
             return self._mismatch(
-                exchange, "mailbox write", expected, "refused: working counter 0", rules
+                exchange, "mailbox write", expected, "refused: working counter 0", by
             )
         if concerned and exchange.working_counter:
             self.written = exchange.time
@@ -670,12 +680,23 @@ class Oracle:
             v.name: field_of(self.model.protocol, register.name, v.name, raw) for v in views
         }
         observed = register_words(self.model, register.name, fields)
-        rules = _last(before, machines_of(self.model, register.name))
+        machines = machines_of(self.model, register.name)
+
+        def differs(state: State) -> tuple[str, ...]:
+            return _differing(shown_register(self.model, register, state), fields)
+
+        by = [
+            Alternative(c, self._led(c, h, machines, differs), differs(c.state), register.name)
+            for c, h in before.items()
+        ]
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
-        differs = _fewest(_differing(each, fields) for each in allowed)
-        clauses = _clauses_of(register, differs)
-        found = self._mismatch(exchange, register.name, tuple(expected), observed, rules, clauses)
-        return replace(found, reasons=self._reasons(refused) if refused else (), differing=differs)
+        found = self._mismatch(exchange, register.name, tuple(expected), observed, by)
+        clauses = _clauses_of(register, found.differing)
+        return replace(
+            found,
+            reasons=self._reasons(refused) if refused else (),
+            clauses=tuple(dict.fromkeys((*found.clauses, *clauses))),
+        )
 
     def _advise(self, register: Register, raw: int, exchange: Exchange) -> None:
         """Note fields that are not what they should be, whichever explanation holds."""
@@ -769,11 +790,11 @@ class Oracle:
                 self._note(exchange, "inputs", ("no inputs: working counter 0",), "inputs", clauses)
             return None
         if not exchange.working_counter:
-            rules = _last(wrong, {"process_data", "al"})
             clauses = self.model.protocol.definitions["inputs_demanded"].clauses
             expected = ("the inputs can be read",)
             observed = "refused: working counter 0"
-            return self._mismatch(exchange, "inputs", expected, observed, rules, clauses)
+            stopped = _alternatives(wrong, {"process_data", "al"})
+            return self._mismatch(exchange, "inputs", expected, observed, stopped, clauses)
         told = (
             register_words(self.model, name, shown_fields(self.model, candidate.state, name))
             for candidate in wrong
@@ -784,23 +805,22 @@ class Oracle:
             for name, said in words_in(self.model, self.example(), exchange.data)
             if name in words
         )
-        rules = _last(
-            wrong, {machine for name in words for machine in machines_of(self.model, name)}
-        )
         shown = dict(fields_in(self.model, self.example(), exchange.data))
-        differs = _fewest(
-            tuple(
-                field
-                for name in words
-                for field in _differing(shown_fields(self.model, each.state, name), shown[name])
-            )
-            for each in wrong
-        )
-        clauses = tuple(clause for word in words.values() for clause in _clauses_of(word, differs))
-        found = self._mismatch(
-            exchange, "inputs", tuple(dict.fromkeys(told)), observed, rules, clauses
-        )
-        return replace(found, differing=differs)
+        by = []
+        for name in words:
+            machines = machines_of(self.model, name)
+
+            def differs(state: State, name: str = name) -> tuple[str, ...]:
+                return _differing(shown_fields(self.model, state, name), shown[name])
+
+            by += [
+                Alternative(c, self._led(c, h, machines, differs), differs(c.state), name)
+                for c, h in wrong.items()
+                if differs(c.state)
+            ]
+        found = self._mismatch(exchange, "inputs", tuple(dict.fromkeys(told)), observed, by)
+        involved = (c for word in words.values() for c in _clauses_of(word, found.differing))
+        return replace(found, clauses=tuple(dict.fromkeys((*found.clauses, *involved))))
 
     def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
@@ -820,14 +840,14 @@ class Oracle:
             self.candidates = _kept(before, after)
             return None
         observed = "mailbox full" if full else "mailbox empty: no reply"
-        due = [candidate.outbox[0] for candidate in before if candidate.outbox]
-        rules = dict.fromkeys(rule for output in due for rule in (output.rule, *output.chain))
+        by = [
+            replace(self._due_reply(candidate, output), silent=not full)
+            for candidate in before
+            for output in candidate.outbox[:1]
+        ]
+        replies = self._expected_replies(before)
         return self._mismatch(
-            exchange,
-            "reply",
-            self._expected_replies(before),
-            observed,
-            tuple(rules) or _last(before, {MAILBOX}),
+            exchange, "reply", replies, observed, by or _alternatives(before, {MAILBOX})
         )
 
     def _owing(self, candidate: Candidate, time: int, *, full: bool) -> Candidate:
@@ -870,23 +890,81 @@ class Oracle:
             self.candidates = after
             return None
         observed = "no message" if message is None else message_words(self.model, message)
-        due = [(c.state, c.outbox[0]) for c in before if c.outbox]
+        due = [(candidate, candidate.outbox[0]) for candidate in before if candidate.outbox]
         wrong: list[str] = []
-        for state, output in due:
+        by: list[Alternative] = []
+        for candidate, output in due:
+            fields: tuple[str, ...] = ()
             if message is not None:
-                wrong += self._clauses_of_fields(state, output, message)
+                wrong += self._clauses_of_fields(candidate.state, output, message)
+                fields = differing(self.model, candidate.state, output, message)
+            each = self._due_reply(candidate, output)
+            resized = _VALUE in fields and not self._fits(candidate.state, output, message)
+            by.append(replace(each, fields=fields, resized=resized))
         found = self._mismatch(
             exchange,
             "reply",
             self._expected_replies(before),
             observed,
-            tuple(dict.fromkeys(output.rule for _, output in due)) or _last(before, {MAILBOX}),
+            by or _alternatives(before, {MAILBOX}),
             tuple(wrong),
         )
         if message is None:
             return found
-        fields = (differing(self.model, state, output, message) for state, output in due)
-        return replace(found, differing=_fewest(fields) or (message.frame,))
+        return replace(found, differing=found.differing or (message.frame,))
+
+    def _due_reply(self, candidate: Candidate, output: Output) -> Alternative:
+        """Give the explanation that a reply is due, with the entry that it speaks of."""
+        fields = dict(output.fields)
+        index, subindex = fields.get("index"), fields.get("subindex")
+        entry = None
+        if isinstance(index, int) and isinstance(subindex, int):
+            entry = self.model.dictionary.entries.get((index, subindex))
+        rules = tuple(dict.fromkeys((*output.chain, output.rule)))
+        return Alternative(candidate, rules, layout=output.frame, entry=entry, asked=output.asked)
+
+    def _fits(self, state: State, output: Output, message: Message | None) -> bool:
+        """Tell whether the value of a message is as long as it is to be."""
+        expected = expected_fields(self.model, state, output).get(_VALUE)
+        held = None if message is None else message.fields.get(_VALUE)
+        if not isinstance(held, bytes):
+            return True
+        if isinstance(expected, bytes):
+            return len(held) == len(expected)
+        lengths = expected.lengths if isinstance(expected, Pattern) else None
+        return lengths is None or lengths[0] <= len(held) <= lengths[1]
+
+    def _led(
+        self,
+        candidate: Candidate,
+        history: tuple[RuleName, ...],
+        machines: AbstractSet[str],
+        differs: Callable[[State], tuple[str, ...]],
+    ) -> tuple[RuleName, ...]:
+        """Give the rule that the device did not go by, if it shows the state before; else the last.
+
+        It is looked for back to what the MainDevice asked last.
+        """
+        own = [rule for rule in history if rule.machine in machines]
+        for rule in reversed(history[self._asked :]):
+            row = row_of(self.model, rule)
+            assert row is not None
+            machine = self.model.protocol.machines[rule.machine]
+            asked = next(i.kind for i in machine.inputs if i.name == row.input) in _ASKED
+            if rule.machine not in machines:
+                if asked:
+                    break
+                continue
+            slot = self.model.slots[f"{rule.machine}.state"]
+            names = {name: value for value, name in self.model.state_names(rule.machine).items()}
+            sources = (names[name] for name in row.sources)
+            if isinstance(row, Rule) and row.target is not None:
+                stuck = (candidate.state.having(slot, v) for v in sources if names[row.target] != v)
+                if any(not differs(state) for state in stuck):
+                    return (rule,)
+            if asked:
+                break
+        return tuple(own[-1:])
 
     def _clauses_of_fields(self, state: State, output: Output, message: Message) -> Iterator[str]:
         """Give the clauses of the layouts and choices that fields of a reply break."""
@@ -987,24 +1065,27 @@ class Oracle:
         subject: str,
         expected: tuple[str, ...],
         observed: str,
-        rules: tuple[RuleName, ...],
+        alternatives: Iterable[Alternative] = (),
         more: tuple[str, ...] = (),
     ) -> Mismatch:
-        """Give the mismatch; it cites `rules`, and `more` clauses than theirs."""
-        cited = (clause for rule in rules for clause in rule_clauses(self.model, rule))
-        clauses = dict.fromkeys((*cited, *more))
+        """Give the mismatch, with what was broken; `more` clauses are involved too."""
+        found = blame(self.model, alternatives)
+        clauses = dict.fromkeys((*(() if found is None else found.clauses), *more))
         if not clauses:
             # before any rule fired it is the power-on value or the register itself that is broken
             register = subject if subject in self.model.views else f"{MAIN_IN}_status"
             clauses = dict.fromkeys(self.model.protocol.registers[register].clauses)
+        demand, fields = ("", ()) if found is None else (found.demand, found.fields)
+        cause = (subject, demand, *fields, observed.partition(":")[0])
         return Mismatch(
             exchange,
             subject,
             expected,
             observed,
-            rules,
+            () if found is None else found.rules,
             tuple(clauses),
-            f"{subject} {' '.join(sorted(clauses))} {observed.partition(':')[0]}",
+            " ".join(filter(None, cause)),
+            differing=fields,
         )
 
 
@@ -1024,9 +1105,12 @@ def _clauses_of(layout: Register | Word, names: Collection[str]) -> tuple[str, .
     return (*layout.clauses, *(clause for clauses in fields for clause in clauses))
 
 
-def _fewest(differing: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
-    """Give the differing fields of the alternative that comes nearest."""
-    return min(filter(None, differing), key=len, default=())
+def _alternatives(candidates: Explanations, machines: AbstractSet[str]) -> tuple[Alternative, ...]:
+    """Give the explanations that the observation was not, by the last rule of these machines."""
+    return tuple(
+        Alternative(candidate, _last({candidate: history}, machines))
+        for candidate, history in candidates.items()
+    )
 
 
 def _last(candidates: Explanations, machines: AbstractSet[str]) -> tuple[RuleName, ...]:

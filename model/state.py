@@ -119,6 +119,8 @@ class Output:
     again: bytes | None = None
     chain: tuple[RuleName, ...] = ()
     """The rules that led to it, from the input of the device on."""
+    asked: tuple[tuple[str, Value], ...] = field(default=(), compare=False)
+    """The parameters of the rule's input."""
 
 
 @dataclass(frozen=True, slots=True)

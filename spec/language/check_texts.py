@@ -317,6 +317,10 @@ def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...],
                 yield f"field `{field.name}`", field.clauses, field.at
                 if field.shows is not None and (advised := field.shows.advised) is not None:
                     yield f"field `{field.name}`", advised.clauses, field.at
+        case Frame():
+            yield f"frame {declaration.name}", declaration.clauses, declaration.at
+            for part in declaration.fields:
+                yield f"field `{part.name}`", part.clauses, part.at
         case Fault():
             yield f"fault {declaration.name}", declaration.clauses, declaration.at
             for change in declaration.changes:

@@ -349,6 +349,7 @@ class FrameField:
     filled: Expression | None = None
     reply: Expression | None = None
     into: str | None = None
+    clauses: tuple[str, ...] = ()
     at: Span = field(default=NOWHERE, compare=False)
 
 

@@ -481,6 +481,7 @@ class _Merge:
                 f"field `{frame.name}.{old.name}` is this already",
                 "take the statement away or write what is different",
             )
+        new = replace(new, clauses=_joined(statement.clauses, old.clauses))
         fields = tuple(new if field is old else field for field in frame.fields)
         clauses = _joined(statement.clauses, frame.clauses)
         self.frames[frame.name] = replace(frame, fields=fields, clauses=clauses)

@@ -518,7 +518,8 @@ class _Builder:
         reply = self._optional_expression(children.optional_tree())
         into = children.optional_tree()
         kept = None if into is None else _path(into)
-        return FrameField(name, kind, value, filled, reply, kept, at)
+        clauses = self._ids(children.given("id_list"))
+        return FrameField(name, kind, value, filled, reply, kept, clauses, at)
 
     def _bindings(self, children: _Children) -> tuple[tuple[str, Expression], ...]:
         opened = [self._open(tree)[0] for tree in children.trees()]

@@ -498,6 +498,8 @@ def _frame_field(field: FrameField) -> tuple[str, str]:
         words.append(f"reply {pretty_expression(field.reply)}")
     if field.into is not None:
         words.append(f"into {field.into}")
+    if field.clauses:
+        words.append(_ids(field.clauses))
     return field.name, " ".join(words)
 
 

@@ -30,12 +30,12 @@ class Shown(StrEnum):
 
 @dataclass(slots=True)
 class Covered:
-    """One clause: how many cases passed by rules that rest on it, and the findings that cite it."""
+    """One clause: how many cases passed by rules that rest on it, and the findings of it."""
 
     clause: Clause
     passed: int = 0
     findings: list[tuple[int, Finding]] = field(default_factory=list)
-    """Each with its number in the report."""
+    """Those that broke it, each with its number in the report."""
 
     @property
     def blaming(self) -> tuple[Finding, ...]:
@@ -68,7 +68,6 @@ def coverage(result: Result, protocol: Protocol) -> Mapping[str, Covered]:
             if clause in covered:
                 covered[clause].passed += count
     for number, finding in enumerate(result.findings(), 1):
-        for clause in finding.verdict.clauses:
-            if clause in covered:
-                covered[clause].findings.append((number, finding))
+        if finding.verdict.broken in covered:
+            covered[finding.verdict.broken].findings.append((number, finding))
     return covered

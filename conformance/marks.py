@@ -20,6 +20,13 @@ def plural(count: int, word: str) -> str:
     return f"{count} {word}" if count == 1 else f"{count} {word}s"
 
 
+def headline(observed: str, differing: Sequence[str], wording: str) -> str:
+    """Say what was observed in the fewest words, and the demand that it breaks."""
+    odd = [part.lstrip(":;, ") for part, differs in parts(observed, differing) if differs]
+    said = ", ".join(odd) or observed.partition(": counter")[0]
+    return f"{said}, but {wording}"
+
+
 def parts(words: str, differing: Sequence[str]) -> Iterator[tuple[str, bool]]:
     """Yield what was expected or observed in parts; True where a part names what differs.
 

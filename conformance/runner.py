@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
+from ecatspec.conformance.marks import headline
 from ecatspec.conformance.results import Basis
 from ecatspec.conformance.session import Deviation, InconclusiveError, Session
 from ecatspec.conformance.shrink import shortest
@@ -72,6 +73,7 @@ SHAPE = {"mailbox_support": "present", "emulation": "none"}
 EXAMPLES = {"quick": 30, "default": 150, "exhaustive": 1000}
 """Runs of random requests, by depth."""
 _NOT_SURE = "or an earlier case left something: the device is not power cycled before each"
+_DEAF = "the mailbox answers nothing any more"
 _STILL = (
     "AL Status never changed, so the device may not run at all: look at that first, "
     "docs/adapters.md has a list"
@@ -96,7 +98,7 @@ class Runner:
         self.description = description
         if description.closed_dictionary:
             model.dictionary.close()
-        self.session = Session(adapter, model, Oracle(model))
+        self.session = Session(adapter, model, Oracle(model), overlooks=True)
         self.verdicts: list[Verdict] = []
         self.rules: set[RuleName] = set()
         self.choices: dict[str, str] = shape_of(model.protocol)
@@ -332,11 +334,14 @@ class Runner:
                     return Verdict(case.name, Outcome.ERROR, case.title, reason)
         except (Deviation, InconclusiveError, DeviceFault, AdapterError) as error:
             on_the_way = position < case.prelude
-            return self.explained(replace(case, about="") if on_the_way else case, error)
+            verdict = self.explained(replace(case, about="") if on_the_way else case, error)
+            return self._new_one(case, verdict)
         finally:
             self.met |= self.session.oracle.met()
             if any(self._configures(stimulus) for stimulus in case.stimuli):
                 self.configured = None
+        if self.session.overlooked:
+            return self._new_one(case, Verdict(case.name, Outcome.PASS, case.title))
         oracle = self.session.oracle
         self.rules |= self._certain_rules()
         if not self.believed:
@@ -351,6 +356,21 @@ class Runner:
             if signature not in self.signatures:
                 return self._against(case, advice.mismatch, advice.trace, advice.time, ADVISED)
         return Verdict(case.name, Outcome.PASS, case.title)
+
+    def _new_one(self, case: Case, last: Verdict) -> Verdict:
+        """Give the first that tells of a new cause: what was overlooked, or how the case ended."""
+        found = [
+            self._against(case, each.mismatch, each.trace, each.time)
+            for each in self.session.overlooked.values()
+        ]
+        if found and last.outcome in FOUND:
+            behind = f"{last.reason}, behind another finding of this case"
+            last = replace(last, reason=behind)
+        if last.outcome in FOUND or not found:
+            found.append(last)
+        if last.outcome is Outcome.CRASH:
+            return last
+        return next((each for each in found if each.signature not in self.signatures), found[0])
 
     def _certain_rules(self) -> frozenset[RuleName]:
         """Give the rules that fired for sure, none that rests on what is only believed."""
@@ -435,9 +455,7 @@ class Runner:
             wrapped()
         except _Found:
             case, found = failures[-1]
-            last = _last_stimulus(found.trace).removeprefix("sends ").partition(":")[0]
-            title = f"random requests, {last} the last"
-            return replace(found, title=title, replay=token_of(case))
+            return replace(found, replay=token_of(case))
         return Verdict(name, Outcome.PASS, "random requests")
 
     # --- verdicts ---------------------------------------------------------------------------------
@@ -448,8 +466,12 @@ class Runner:
         """Give the verdict of a case that ends here, with what the session came to."""
         match error:
             case Deviation():
-                session = self.session
-                return self._against(case, error.mismatch, tuple(session.trace), session.time)
+                session, mismatch = self.session, error.mismatch
+                verdict = self._against(case, mismatch, tuple(session.trace), session.time)
+                if mismatch.silent and session.is_deaf():
+                    # what else it does not answer then is no cause of its own
+                    return replace(verdict, reason=_DEAF, signature=_DEAF)
+                return verdict
             case DeviceFault():
                 return self._death(case, error)
             case Unheard() | InconclusiveError():
@@ -477,7 +499,7 @@ class Runner:
         return Verdict(
             case.name,
             Outcome.FAIL if blames else Outcome.WARNING,
-            case.title,
+            headline(mismatch.observed, mismatch.differing, cited[0].wording),
             reason if sure else f"{reason}, {_NOT_SURE}",
             mismatch.expected,
             mismatch.observed,
@@ -511,7 +533,7 @@ class Runner:
         return Verdict(
             case.name,
             Outcome.CRASH,
-            case.title,
+            f"{_kind(death)} at {last.partition(':')[0]}",
             f"last stimulus: {last}",
             ("an answer, and a device that lives",),
             str(death),

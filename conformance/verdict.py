@@ -84,6 +84,7 @@ class Verdict:
     expected: tuple[str, ...] = ()
     observed: str = ""
     clauses: tuple[str, ...] = ()
+    """What was broken first, then what is involved too."""
     claims: tuple[str, ...] = ()
     trace: tuple[TraceLine, ...] = ()
     at: str = ""
@@ -98,6 +99,16 @@ class Verdict:
     """The fields of `observed` that are not as expected, or its layout."""
     blamed: tuple[str, ...] = ()
     """The rules by which the device should have gone where it was blamed."""
+
+    @property
+    def broken(self) -> str:
+        """The clause that was broken; empty where none is known."""
+        return next(iter(self.clauses), "")
+
+    @property
+    def involved(self) -> tuple[str, ...]:
+        """The clauses that have to do with it too."""
+        return self.clauses[1:]
 
     @property
     def again(self) -> str:

@@ -247,7 +247,8 @@ def _leaving(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
         for target in ("SAFEOP", "PREOP", "INIT"):
             down = request(model.row("al_state", target))
             yield _in(model, f"leaving_by_{target}/{name}", (*_of(way), down))
-        every = tuple(stimulus for _, stimulus in _words(model))
+        # first what shows of a drive that is switched off
+        every = (commanded[0], *(stimulus for _, stimulus in _words(model)))
         for target in ("SAFEOP", "PREOP"):
             down = request(model.row("al_state", target))
             looks = tuple(_look(model)) if target == "PREOP" else ()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.bringup import WAY_UP, case_in, mailbox_settings, request, way_to
 from ecatspec.generators.case import Case, Limits, Repeat, SendFrame, Stimulus
+from ecatspec.generators.stimulus import frame_bytes
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import size_of, size_varies
 from ecatspec.model.esc import BOOTSTRAP
@@ -60,6 +61,9 @@ def _unknown(model: Model) -> Iterator[Case]:
     services = model.protocol.tables["coe_service"]
     taken = {row.value for row in services.rows}
     refused = {row.value for row in services.rows if row.name in {"emergency", "sdo_response"}}
+    first = model.protocol.objects[0]
+    asking = model.decode(frame_bytes(model, upload(first.index, first.subindex), 1))
+    assert asking is not None
     for service in range(1 << services.width):
         if service not in taken or service in refused:
             odd = SendFrame("coe", {"service": service, "body": body})
@@ -67,6 +71,9 @@ def _unknown(model: Model) -> Iterator[Case]:
             yield case_in(model, name, "a CoE service that no device takes", [odd])
             title = "a CoE service that no device takes, twice"
             yield case_in(model, f"coe/unknown_service_twice/{service}", title, [odd, odd])
+            asks = SendFrame("coe", {"service": service, "body": asking.fields["body"]})
+            title = "a CoE service that no device takes, with an SDO request in it"
+            yield case_in(model, f"coe/service_as_request/{service}", title, [asks])
 
 
 def _counters(model: Model, ask: SendFrame) -> Iterator[Case]:

@@ -40,6 +40,8 @@ def named_cover(model: Model, _: Limits) -> Iterator[Case]:
         entry = entries.get((index, subindex))
         if entry is None or not isinstance(entry.type, UInt | SInt):
             continue
+        if isinstance(entry.type, SInt) and value >> entry.type.width - 1:
+            value -= 1 << entry.type.width
         name = f"sdo/named_value/{index:04X}_{subindex:02X}/{value}"
         title = f"{entry.name} written with {value}, which the texts name"
         before = _before(model, named, each)

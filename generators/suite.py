@@ -56,7 +56,7 @@ GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = Map
 _SHORTENED: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
     {
         "quick": frozenset(GENERATORS),
-        "default": frozenset({"transfers", "complete", "information"}),
+        "default": frozenset({"transfers", "complete"}),
         "exhaustive": frozenset(),
     }
 )
@@ -67,8 +67,8 @@ def all_cases(model: Model, limits: Limits, depth: str = "default") -> Iterator[
     """Yield all fixed cases of a protocol in the order in which they run.
 
     `quick`: of cases that differ in the entry only, those of one entry of each kind. `default`:
-    every entry is read and written, in all shapes of a transfer one of each kind. `exhaustive`:
-    all of them, and the boundaries of the guards.
+    every entry is read, written and described, in all shapes of a transfer one of each kind.
+    `exhaustive`: all of them, and the boundaries of the guards.
 
     Raises:
         MissingSolverError: The boundaries need the solver.

@@ -13,6 +13,7 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.citations import object_name
@@ -24,7 +25,7 @@ from ecatspec.spec.language.ir import Binary, Bytes, Level, Name, Unary
 from ecatspec.spec.language.scope import Scope, names_in
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
     from ecatspec.model.candidates import Candidate
     from ecatspec.model.compiled import Model
@@ -37,6 +38,8 @@ _ANSWERED: Final = "response_timeout"
 _FAR: Final = 100
 """Something else altogether: more than any number of fields."""
 _VALUE: Final = "value"
+_WEAKER: Final[Mapping[Level, int]] = MappingProxyType({Level.MUST: 0, Level.SHOULD: 1})
+"""What only allows something is never broken."""
 _MUCH: Final = 8
 """Rules: a clause that more of them cite speaks of much."""
 _WAYS: Final = (True, False)
@@ -61,6 +64,8 @@ class Alternative:
     """A value has another length than expected."""
     silent: bool = False
     """Nothing was observed where an answer was due."""
+    blank: bool = False
+    """The fields that differ were left at 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +73,15 @@ class Blame:
     """What was broken: by whom it is demanded, and the clauses, the broken one first."""
 
     demand: str
-    fields: tuple[str, ...]
+    """What of a kind shares a cause: an entry, a field that has clauses of its own, a clause."""
     rules: tuple[RuleName, ...]
     clauses: tuple[str, ...]
+    nearest: tuple[Alternative, ...]
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The fields that differ; none: it was something else altogether."""
+        return self.nearest[0].fields
 
 
 def blame(model: Model, alternatives: Iterable[Alternative]) -> Blame | None:
@@ -84,9 +95,12 @@ def blame(model: Model, alternatives: Iterable[Alternative]) -> Blame | None:
     # what each of them cites first comes before what one of them cites next
     rows = zip_longest(*(_ranked(model, each) for each in nearest))
     clauses = dict.fromkeys((*own, *(clause for row in rows for clause in row if clause)))
-    must = [clause for clause in clauses if model.protocol.clauses[clause].level is not Level.MAY]
+    ordered = sorted(
+        clauses, key=lambda clause: _WEAKER.get(model.protocol.clauses[clause].level, 2)
+    )
     rules = tuple(dict.fromkeys(rule for each in nearest for rule in each.rules[-1:]))
-    return Blame(demand, nearest[0].fields, rules, tuple(dict.fromkeys((*must, *clauses))))
+    demand = demand or next(iter(ordered), nearest[0].layout)
+    return Blame(demand, rules, tuple(ordered), tuple(nearest))
 
 
 def _distance(model: Model, each: Alternative) -> tuple[int, int, int]:
@@ -119,7 +133,9 @@ def _demanded(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]]:
     found = _of_layout(model, each)
     if found is not None:
         return found
-    return (str(each.rules[-1]) if each.rules else each.layout), ()
+    if each.blank and len(each.fields) == 1:
+        return f"{each.layout}.{each.fields[0]} 0", ()
+    return "", ()
 
 
 def _of_layout(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]] | None:

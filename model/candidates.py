@@ -125,6 +125,12 @@ class Mismatch:
     """Why the device had to refuse, where it had to."""
     differing: tuple[str, ...] = ()
     """The fields that are not as expected, of the alternative with the fewest; or the frame."""
+    silent: bool = False
+    """Nothing was observed where an answer was due."""
+    clear: bool = False
+    """The state of the device is known all the same: the oracle can overlook it."""
+    beside: tuple[Mismatch, ...] = ()
+    """What else is wrong with the same observation."""
 
 
 _FASTER = 10

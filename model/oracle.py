@@ -82,7 +82,7 @@ if TYPE_CHECKING:
     from ecatspec.model.serving import Explanations
     from ecatspec.model.state import Step
     from ecatspec.model.values import ObjectKey
-    from ecatspec.spec.language.ir import ObjectEntry, Register, Word
+    from ecatspec.spec.language.ir import Expression, ObjectEntry, Register, Word
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
@@ -98,6 +98,8 @@ _REASONS = "told_reason"
 _ASKED = frozenset({"write", "frame", "outputs", "word"})
 """Kinds of inputs that come from the MainDevice."""
 _VALUE = "value"
+_REFUSING = frozenset({"code", "detail"})
+"""Fields of frames that refuse what was asked."""
 _SURPRISES = 2
 """How much a device may do by itself, or may befall it, between two looks."""
 
@@ -121,6 +123,8 @@ class Oracle:
     """The first observation since a request that only an accident explains."""
     _grown: Grown | None = None
     """What the candidates grew to when they were looked at last."""
+    _overlooking: Explanations | None = None
+    """What is left where the last mismatch is overlooked."""
     _asked: int = 0
     """Rules that every explanation had gone by when the MainDevice wrote last."""
     _idle: set[tuple[int, bytes, int]] = field(default_factory=set)
@@ -161,6 +165,7 @@ class Oracle:
 
     def observe(self, exchange: Exchange) -> Mismatch | None:
         """Take one exchange into account; tell the mismatch, if there is one."""
+        self._overlooking = None
         if exchange.write:
             self._asked = min(map(len, self.candidates.values()), default=0)
             return self._write(exchange)
@@ -615,16 +620,18 @@ class Oracle:
         mismatch = self.judge(exchange)
         if mismatch is None:
             return None
-        kept, lost = self.candidates, self.lost
+        kept, lost, overlooking = self.candidates, self.lost, self._overlooking
         for _ in range(_SURPRISES):
             self.candidates = self.befallen(exchange.time)
             if self.judge(exchange) is None:
                 if self.surprises():
                     self._suspicion = self._suspicion or mismatch
                 return None
-        self.candidates, self.lost = kept, lost
+        self.candidates, self.lost, self._overlooking = kept, lost, overlooking
         # what was taken for an accident at first was the deviation
-        return self._suspicion if self._suspicion and self.surprises() else mismatch
+        if self._suspicion and self.surprises():
+            return replace(self._suspicion, clear=False)
+        return mismatch
 
     def befallen(self, time: int) -> Explanations:
         """Give the explanations in which something happened by itself, and those before."""
@@ -685,17 +692,29 @@ class Oracle:
         def differs(state: State) -> tuple[str, ...]:
             return _differing(shown_register(self.model, register, state), fields)
 
+        blank = {view.name for view in views if not view.truth and not fields[view.name]}
         by = [
-            Alternative(c, self._led(c, h, machines, differs), differs(c.state), register.name)
+            Alternative(
+                c,
+                self._led(c, h, machines, differs),
+                odd,
+                register.name,
+                blank=blank.issuperset(odd),
+            )
             for c, h in before.items()
+            for odd in [differs(c.state)]
         ]
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
         found = self._mismatch(exchange, register.name, tuple(expected), observed, by)
         clauses = _clauses_of(register, found.differing)
+        odd = [view for view in views if view.name in found.differing]
+        if not any(view.truth or _shows_state(view.expression) for view in odd):
+            self._overlooking = before
         return replace(
             found,
             reasons=self._reasons(refused) if refused else (),
             clauses=tuple(dict.fromkeys((*found.clauses, *clauses))),
+            clear=self._overlooking is not None,
         )
 
     def _advise(self, register: Register, raw: int, exchange: Exchange) -> None:
@@ -818,7 +837,8 @@ class Oracle:
                 for c, h in wrong.items()
                 if differs(c.state)
             ]
-        found = self._mismatch(exchange, "inputs", tuple(dict.fromkeys(told)), observed, by)
+        own = tuple(clause for word in words.values() for clause in word.clauses)
+        found = self._mismatch(exchange, "inputs", tuple(dict.fromkeys(told)), observed, by, own)
         involved = (c for word in words.values() for c in _clauses_of(word, found.differing))
         return replace(found, clauses=tuple(dict.fromkeys((*found.clauses, *involved))))
 
@@ -901,17 +921,49 @@ class Oracle:
             each = self._due_reply(candidate, output)
             resized = _VALUE in fields and not self._fits(candidate.state, output, message)
             by.append(replace(each, fields=fields, resized=resized))
+        expected = self._expected_replies(before)
         found = self._mismatch(
-            exchange,
-            "reply",
-            self._expected_replies(before),
-            observed,
-            by or _alternatives(before, {MAILBOX}),
-            tuple(wrong),
+            exchange, "reply", expected, observed, by or _alternatives(before, {MAILBOX}), (*wrong,)
         )
         if message is None:
             return found
-        return replace(found, differing=found.differing or (message.frame,))
+        beside: list[Mismatch] = []
+        if len(found.differing) > 1:
+            # each field may have a cause of its own
+            found, *beside = (
+                self._mismatch(
+                    exchange,
+                    "reply",
+                    expected,
+                    observed,
+                    [replace(each, fields=(name,)) for each in by if name in each.fields],
+                    tuple(wrong),
+                )
+                for name in found.differing
+            )
+        if found.differing:
+            least = min(len(each.fields) or len(message.fields) for each in by)
+            self._overlooking = {
+                self._left(each.candidate, taken, each.candidate.outbox[1:], exchange.time): (
+                    before[each.candidate] + taken.rules
+                )
+                for each in by
+                if len(each.fields) == least
+                for taken in afterwards(
+                    self.model, each.candidate.state, each.candidate.outbox[0], message.fields
+                )
+            }
+        return replace(
+            found,
+            differing=found.differing or (message.frame,),
+            clear=bool(self._overlooking),
+            beside=tuple(beside),
+        )
+
+    def overlook(self) -> None:
+        """Go on as if the last mismatch, which was clear, had been right."""
+        assert self._overlooking is not None
+        self.candidates = self._overlooking
 
     def _due_reply(self, candidate: Candidate, output: Output) -> Alternative:
         """Give the explanation that a reply is due, with the entry that it speaks of."""
@@ -1075,8 +1127,14 @@ class Oracle:
             # before any rule fired it is the power-on value or the register itself that is broken
             register = subject if subject in self.model.views else f"{MAIN_IN}_status"
             clauses = dict.fromkeys(self.model.protocol.registers[register].clauses)
-        demand, fields = ("", ()) if found is None else (found.demand, found.fields)
-        cause = (subject, demand, *fields, observed.partition(":")[0])
+        if found is None:
+            cause: tuple[str, ...] = (subject, *clauses)
+        else:
+            # what a register shows hangs together; where no reply is due, any is one too many
+            shown = subject in self.model.views
+            due = any(each.layout for each in found.nearest)
+            kind = () if shown or found.fields or not due else (self._kind(observed),)
+            cause = (subject, found.demand, *(() if shown else found.fields), *kind)
         return Mismatch(
             exchange,
             subject,
@@ -1084,9 +1142,22 @@ class Oracle:
             observed,
             () if found is None else found.rules,
             tuple(clauses),
-            " ".join(filter(None, cause)),
-            differing=fields,
+            " ".join(dict.fromkeys(cause)),
+            differing=() if found is None else found.fields,
+            silent=found is not None and found.nearest[0].silent,
         )
+
+    def _kind(self, observed: str) -> str:
+        """Tell of what kind an observation is that is something else altogether."""
+        name = observed.partition(":")[0]
+        frame = self.model.protocol.frames.get(name)
+        if frame is None:
+            return name
+        return "refused" if _REFUSING.intersection(f.name for f in frame.fields) else "served"
+
+
+def _shows_state(shown: Expression) -> bool:
+    return any(path.endswith(".state") for path in names_in(shown))
 
 
 def _kept(before: Explanations, after: Explanations) -> Explanations:

@@ -33,8 +33,10 @@ def _line(result: Result, finding: Finding) -> str:
     verdict = finding.verdict
     bad = verdict.outcome in BLAMING or verdict.outcome is Outcome.ERROR
     said = [f"{result.device}, tested: {result.subject}"]
-    if verdict.clauses:
-        said.append(f"clauses: {', '.join(verdict.clauses)}")
+    if verdict.broken:
+        said.append(f"broken: {verdict.broken}")
+    if verdict.involved:
+        said.append(f"involved: {', '.join(verdict.involved)}")
     said += [f"expected: {words}" for words in verdict.expected[:3]]
     if verdict.observed:
         said.append(f"observed: {verdict.observed}")

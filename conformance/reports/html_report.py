@@ -39,8 +39,6 @@ _SECTIONS: Final = (
     ("limits", "Limits"),
     ("provenance", "Provenance"),
 )
-_OPEN: Final = 40
-"""A sequence of more lines than this is folded."""
 _LINES: Final = 400
 """Lines of a sequence at most: its last ones."""
 _MICROSECONDS: Final = 1000
@@ -138,7 +136,6 @@ def _finding(name: str, finding: Finding, result: Result, model: Model) -> View:
         "replay": result.set_up and result.set_up.command(verdict.again),
         "trace": _trace(verdict, model),
         "lines": plural(len(verdict.trace), "line"),
-        "open": len(verdict.trace) <= _OPEN,
     }
 
 

@@ -92,6 +92,7 @@ class FindingPart(Brief, frozen=True):
     """One cause: the verdict with the shortest trace, and the other cases that show the same."""
 
     clauses: list[ClausePart]
+    """The broken one first, then those that are involved too."""
     claims: list[str]
     expected: list[str]
     observed: str

@@ -86,7 +86,7 @@ def _whole(suite: ET.Element, device: str, result: Result, protocol: Protocol) -
         suite, "testcase", {"classname": _clean(f"{device}.{WHOLE}"), "name": WHOLE, "time": "0"}
     )
     binding = {clause.id for clause in protocol.clauses.values() if clause.level is Level.MUST}
-    own = [f for f in result.findings() if binding.isdisjoint(f.verdict.clauses)]
+    own = [f for f in result.findings() if f.verdict.broken not in binding]
     blaming = [f for f in own if f.verdict.outcome in BLAMING]
     troubles = [f for f in own if f.verdict.outcome is Outcome.ERROR]
     if blaming:
@@ -139,6 +139,8 @@ def _lines(finding: Finding, result: Result) -> Iterable[str]:
     yield from (f"expected: {words}" for words in verdict.expected[:_LINES])
     if verdict.observed:
         yield f"observed: {verdict.observed}"
+    if verdict.involved:
+        yield f"involved: {', '.join(verdict.involved)}"
     if verdict.differing:
         yield f"differing: {', '.join(verdict.differing)}"
     if verdict.reason:

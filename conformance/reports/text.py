@@ -22,8 +22,6 @@ MARKS: Final = (">", "<")
 """What stands around a field that differs."""
 _INDENT: Final = "  "
 _LABEL: Final = 10
-_CITED: Final = 3
-"""Clauses that the list at the top names of a finding at most."""
 _MICROSECONDS: Final = 1000
 _LIVES: Final = (MAIN_DEVICE, SUB_DEVICE)
 _APART: Final = 12
@@ -111,11 +109,9 @@ def explained(finding: Finding, protocol: Protocol, command: str) -> str:
 
 
 def _line(number: int, finding: Finding) -> Iterable[str]:
-    """Give one line of the list at the top: what, by which clauses, in how many cases."""
+    """Give one line of the list at the top: what, the broken clause, in how many cases."""
     verdict = finding.verdict
-    more = len(verdict.clauses) - _CITED
-    named = ", ".join(verdict.clauses[:_CITED]) + (f" and {more} more" if more > 0 else "")
-    cited = f" [{named}]" if named else ""
+    cited = f" [{verdict.broken}]" if verdict.broken else ""
     cases = plural(1 + len(finding.also), "case")
     said = f"{verdict.outcome.value}: {verdict.title}{cited}, {cases}"
     yield from _wrapped(f"{_INDENT}{number:>2}  ", said)
@@ -124,12 +120,13 @@ def _line(number: int, finding: Finding) -> Iterable[str]:
 def _finding(head: str, finding: Finding, protocol: Protocol, again: str) -> Iterable[str]:
     verdict = finding.verdict
     yield from _wrapped(head, f"{verdict.outcome.value.upper()}: {verdict.title}")
-    for name in verdict.clauses:
+    for name in verdict.clauses[:1]:
         clause = protocol.clauses.get(name)
         words = [name]
         if clause is not None:
             words = [f"{name} {clause.level.value}: {clause.wording}", f"source: {clause.source}"]
-        yield from _labelled("clause", words)
+        yield from _labelled("broken", words)
+    yield from _labelled("involved", [", ".join(verdict.involved)] if verdict.involved else [])
     yield from _labelled("claims", [", ".join(verdict.claims)] if verdict.claims else [])
     expected = [_marked(words, verdict.differing) for words in verdict.expected]
     yield from _labelled("expected", [*_alternatives(expected)])

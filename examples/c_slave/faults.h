@@ -38,13 +38,15 @@ enum fault {
 
     /* CiA 402 */
     FAULT_RESET_BY_LEVEL,           /* fault reset works by its level, not by its edge */
-    FAULT_QUICK_STOP_IGNORED        /* quick stop has no effect while the drive is enabled */
+    FAULT_QUICK_STOP_IGNORED,       /* quick stop has no effect while the drive is enabled */
+
+    FAULT_ALL                       /* all of them at once */
 };
 
 #ifndef FAULT
 #define FAULT FAULT_NONE
 #endif
 
-#define PLANTED(name) (FAULT == FAULT_##name)
+#define PLANTED(name) (FAULT == FAULT_ALL || FAULT == FAULT_##name)
 
 #endif

@@ -74,6 +74,8 @@ EXAMPLES = {"quick": 30, "default": 150, "exhaustive": 1000}
 """Runs of random requests, by depth."""
 _NOT_SURE = "or an earlier case left something: the device is not power cycled before each"
 _DEAF = "the mailbox answers nothing any more"
+_MUTE = ("killed", "exit status")
+"""How the end of a device is told that says nothing of its cause."""
 _STILL = (
     "AL Status never changed, so the device may not run at all: look at that first, "
     "docs/adapters.md has a list"
@@ -529,11 +531,13 @@ class Runner:
         rules = oracle.due_rules() if attempt is None else oracle.attempted(attempt)
         inner = [rule for rule in rules if rule.machine != "mailbox"] or rules
         clauses = tuple(dict.fromkeys(c for rule in inner for c in rule_clauses(self.model, rule)))
-        kind = type(death).__name__
+        kind, said = type(death).__name__, _kind(death)
+        # an error of its own words is the same wherever it comes; a signal says nothing of why
+        cause = (kind, *(sorted(clauses) if said.startswith(_MUTE) else ()), said)
         return Verdict(
             case.name,
             Outcome.CRASH,
-            f"{_kind(death)} at {last.partition(':')[0]}",
+            f"{said} at {last.partition(':')[0]}",
             f"last stimulus: {last}",
             ("an answer, and a device that lives",),
             str(death),
@@ -541,7 +545,7 @@ class Runner:
             (),
             (*trace, TraceLine(self.session.time, SUB_DEVICE, str(death))),
             f"{self.session.time / 1000:.1f} ms",
-            f"{kind} {' '.join(sorted(clauses))} {_kind(death)}",
+            " ".join(cause),
             blamed=tuple(map(str, inner)),
         )
 

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 _RESERVED = ("identification", "reserved", "application")
 """The fields of AL Control that mean nothing, but for devices that say so."""
-_VALUE = 0x1234
 
 
 def register_cover(model: Model, _: Limits) -> Iterator[Case]:
@@ -54,7 +53,8 @@ def _shown_by_entries(model: Model) -> Iterator[Case]:
             if any(model.views[name]) or name == "al_control":
                 continue
             field = next(field for field in register.fields if field.name == shown)
-            value = _VALUE & (1 << field.high - field.low + 1) - 1
+            # every second bit: no default, nor what any other register holds
+            value = ((1 << field.high - field.low + 1) - 1) // 3
             done = (WriteRegister(name, {shown: value}), upload(*word.key))
             title = f"{shown.replace('_', ' ')} given, which {word.name.replace('_', ' ')} shows"
             yield _in_preop(model, f"shown/{word.name}/{path}", title, done)

@@ -92,9 +92,11 @@ def blame(model: Model, alternatives: Iterable[Alternative]) -> Blame | None:
     least = _distance(model, found[0])
     nearest = [each for each in found if _distance(model, each) == least]
     demand, own = _demanded(model, nearest[0])
-    # what each of them cites first comes before what one of them cites next
-    rows = zip_longest(*(_ranked(model, each) for each in nearest))
-    clauses = dict.fromkeys((*own, *(clause for row in rows for clause in row if clause)))
+    clauses = dict.fromkeys(own)
+    for group in (nearest, found):
+        # what each of them cites first comes before what one of them cites next
+        rows = zip_longest(*(_ranked(model, each) for each in group))
+        clauses |= dict.fromkeys(clause for row in rows for clause in row if clause)
     ordered = sorted(
         clauses, key=lambda clause: _WEAKER.get(model.protocol.clauses[clause].level, 2)
     )

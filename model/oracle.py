@@ -126,7 +126,7 @@ class Oracle:
     _overlooking: Explanations | None = None
     """What is left where the last mismatch is overlooked."""
     _asked: int = 0
-    """Rules that every explanation had gone by when the MainDevice wrote last."""
+    """Rules that every explanation had gone by when the MainDevice wrote last, or all was right."""
     _idle: set[tuple[int, bytes, int]] = field(default_factory=set)
     """Reads (address, data, working counter) that told nothing of the candidates `_idle_of`."""
     _idle_of: Explanations = field(default_factory=dict)
@@ -167,7 +167,7 @@ class Oracle:
         """Take one exchange into account; tell the mismatch, if there is one."""
         self._overlooking = None
         if exchange.write:
-            self._asked = min(map(len, self.candidates.values()), default=0)
+            self._asked = self._gone_by()
             return self._write(exchange)
         look = exchange.address, exchange.data, exchange.working_counter
         grown = self._grown
@@ -179,6 +179,8 @@ class Oracle:
         ):
             return None
         mismatch = self._read(exchange)
+        if mismatch is None:
+            self._asked = self._gone_by()
         if self._grown is not None and self._grown.found is self.candidates and mismatch is None:
             if self._idle_of is not self.candidates or len(self._idle) >= _LOOKS:
                 self._idle, self._idle_of = set(), self.candidates
@@ -186,6 +188,9 @@ class Oracle:
             if not any(candidate.outbox for candidate in self.candidates):
                 self._idle.add(look)
         return mismatch
+
+    def _gone_by(self) -> int:
+        return min(map(len, self.candidates.values()), default=0)
 
     def unreadable(self, name: str, exchange: Exchange) -> Mismatch | None:
         """Judge a read that brought no register: one on which a machine rests can be read."""
@@ -294,7 +299,7 @@ class Oracle:
 
     def happened(self, machine: str, event: str, time: int) -> None:
         """Take it that somebody made this local event befall the device."""
-        self._asked = min(map(len, self.candidates.values()), default=0)
+        self._asked = self._gone_by()
         self.candidates = {
             self._having(candidate, Event(machine, event, {}), time): history
             for candidate, history in self.expanded(time).items()

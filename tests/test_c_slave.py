@@ -327,7 +327,7 @@ def test_the_chip_in_c_and_the_chip_of_level_b_are_the_same(
 
 def test_every_fault_has_its_cases() -> None:
     named = re.findall(r"^ {4}FAULT_(\w+)\b", (SOURCES / "faults.h").read_text(), re.MULTILINE)
-    assert named == ["NONE", *WHERE]
+    assert named == ["NONE", *WHERE, "ALL"]
 
 
 @pytest.mark.xdist_group("faults of c_slave")  # the cases are made once for all of them

@@ -808,7 +808,7 @@ def test_a_file_with_a_fault_is_refused_before_anything_is_played(
     monkeypatch.setattr(replay.Player, "judge", None)
     last = data["testGroups"][-1]["tests"][-1]["id"]
     path = edited(file, f'"id":"{last}"', f'"name":"{last}"')
-    assert_refused(call("replay", path), f"{file}: testGroups[0].tests[9]", "`name`")
+    assert_refused(call("replay", path), f"{file}: testGroups[0].tests[29]", "`name`")
 
 
 def test_an_interrupted_replay_shows_what_was_found(
@@ -840,7 +840,7 @@ def test_cases_without_a_test_are_named(
     wanted = ("--depth", "quick", "--only", "coe", "-o", str(tmp_path / "x"))
     status, _, err = call("export", "reference", "--format", "json", *wanted)
     assert status == 0
-    assert err.startswith("ecatspec: 0 tests; the virtual SubDevice does not come to rest in 10 ")
+    assert err.startswith("ecatspec: 0 tests; the virtual SubDevice does not come to rest in 30 ")
     assert "coe/unknown_service/0, " in err
     assert err.count("\n") == 1
 

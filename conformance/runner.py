@@ -127,6 +127,8 @@ class Runner:
         """The layers that are tried; none: all."""
         self.moved = False
         """AL Status has changed in some step."""
+        self.behind = False
+        """The case that was judged last has more new causes than the one that it was given."""
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -322,6 +324,7 @@ class Runner:
 
     def _judge(self, case: Case) -> Verdict:
         self.session.forget_trace()
+        self.behind = False
         position = -1
         try:
             self.session.begin(self.choices | self.believed, self.configuration())
@@ -372,7 +375,9 @@ class Runner:
             found.append(last)
         if last.outcome is Outcome.CRASH:
             return last
-        return next((each for each in found if each.signature not in self.signatures), found[0])
+        new = [each for each in found if each.signature not in self.signatures]
+        self.behind = len(new) > 1
+        return new[0] if new else found[0]
 
     def _certain_rules(self) -> frozenset[RuleName]:
         """Give the rules that fired for sure, none that rests on what is only believed."""
@@ -653,6 +658,9 @@ def _run_all(
         cases = [case for case in every if runner.wanted(case.layer)]
     try:
         runner.run(cases, progress, len(cases))
+        while replay and runner.behind:
+            # in a run other cases told the causes before it
+            runner.run(cases, progress, len(cases))
         if not replay:
             guarantees = runner.complete(depth, progress)
             seeds = range(seed, seed + WALKS[depth])

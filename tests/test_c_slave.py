@@ -330,6 +330,51 @@ def test_every_fault_has_its_cases() -> None:
     assert named == ["NONE", *WHERE, "ALL"]
 
 
+BROKEN = {
+    "AL_CODE_FORGOTTEN": ("AL-06", "al/request_BOOT"),
+    "AL_ERROR_NOT_LATCHED": ("AL-16", "al/set_up/request_BOOT/request_PREOP"),
+    "AL_MAILBOX_UNCHECKED": ("AL-04", "al/request_PREOP"),
+    "MAILBOX_COUNTER_IGNORED": ("MBX-04", "mailbox/duplicate"),
+    "MAILBOX_LENGTH_UNCHECKED": (
+        "MBX-17",
+        "sdo/malformed/sdo_upload_request/length_one_beyond_area",
+    ),
+    "MAILBOX_COUNTER_STUCK": ("MBX-06", "sdo/default/2000_00"),
+    "REPEAT_UNACKNOWLEDGED": ("MBX-21", "mailbox/repeat_read"),
+    "SDO_SIZE_UNCHECKED": ("SDO-13", "sdo/server/idle/download_3_bytes"),
+    "SDO_WRONG_ABORT": ("SDO-08", "sdo/no_subindex/upload/1000_01"),
+    "SDO_RANGE_ONE_SIDED": ("SDO-15", "mailbox/duplicate_write"),
+    "SDO_STATE_UNCHECKED": ("SDO-11", "sdo/upload_in_PREOP/2005_00"),
+    "SEGMENT_TOGGLE_UNCHECKED": ("SDO-30", "sdo/boundary/sdo_download_segment/toggle_turned"),
+    "SEGMENT_LAST_TOO_EARLY": ("SDO-33", "sdo/boundary/sdo_download_segment/value_empty"),
+    "SEGMENT_LAST_FORGOTTEN": ("SDO-39", "sdo/upload/2000_00"),
+    "WATCHDOG_IGNORED": ("PD-11", "process_data/watchdog"),
+    "OUTPUTS_IN_SAFEOP": ("DRV-23", "ds402/commands_in_SAFEOP_after_OP/SWITCH_ON_DISABLED"),
+    "PDO_LENGTH_UNCHECKED": ("PD-04", "process_data/too_long_sync_manager_2"),
+    "RESET_BY_LEVEL": ("DRV-18", "ds402/reset_held/SWITCH_ON_DISABLED"),
+    "QUICK_STOP_IGNORED": ("DRV-15", "ds402/shutdown/enable_operation/quick_stop"),
+}
+"""The clause that a finding of each mistake names first, and a case, where all are there at once.
+
+A device that never gives an AL status code cannot give a wrong one: AL_UNKNOWN_STATE is not there.
+"""
+
+
+@pytest.mark.xdist_group("faults of c_slave")
+def test_all_mistakes_at_once_are_found_each_by_its_clause(tmp_path: Path) -> None:
+    program = build(tmp_path, "FAULT=ALL") / "slave"
+    names = {name for _, name in BROKEN.values()}
+    with ProcessAdapter([str(program)]) as adapter:
+        runner = Runner(model(), adapter, adapter.describe())
+        runner.run([case for case in cases() if case.name in names], None, len(names))
+    found = {verdict.broken for verdict in runner.verdicts if verdict.outcome in BLAMING}
+    assert set(BROKEN) == WHERE.keys() - {"AL_UNKNOWN_STATE"}
+    assert {clause for clause, _ in BROKEN.values()} <= found
+    clause, name = BROKEN["SEGMENT_LAST_FORGOTTEN"]
+    alone = run_device(TEXT, f"exec:{program}", depth=DEPTH, replay=name).findings()
+    assert {BROKEN["MAILBOX_COUNTER_STUCK"][0], clause} <= {f.verdict.broken for f in alone}
+
+
 @pytest.mark.xdist_group("faults of c_slave")  # the cases are made once for all of them
 @pytest.mark.parametrize("fault", WHERE)
 def test_a_fault_is_found(fault: str, tmp_path: Path) -> None:

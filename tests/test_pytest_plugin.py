@@ -176,7 +176,7 @@ def test_a_failure_explains_itself_once(
         [
             "*_ sdo/transfer/wrong_second_toggle _*",
             "FAIL: *",
-            "  clause    SDO-30 must: a segment with the wrong toggle bit is refused with*",
+            "  broken    SDO-30 must: a segment with the wrong toggle bit is refused with*",
             "            source: facts 5.3, D-27",
             "  expected  sdo_abort:*",
             "*code 0x05030000 toggle_not_alternated",
@@ -255,7 +255,7 @@ def test_a_should_is_a_warning_that_can_be_made_a_failure(
     fault = ("--ecat-dut", "model:fault=toggle_ignored", "-k", "wrong_second_toggle")
     found = run(desk, *fault, "-W", "default")
     assert outcomes(found) == {"passed": 1}
-    found.stdout.fnmatch_lines(["*EcatWarning: WARNING: *", "*clause    SDO-30 must: *"])
+    found.stdout.fnmatch_lines(["*EcatWarning: WARNING: *", "*broken    SDO-30 must: *"])
     assert outcomes(run(desk, *fault, "-W", f"error::{WARNING}")) == {"failed": 1}
 
 
@@ -429,8 +429,8 @@ def test_users_have_a_device_and_a_judged_session(desk: pytest.Pytester) -> None
     found.stdout.fnmatch_lines(
         [
             "*_ test_steps _*",
-            "FAIL: a test of your own",
-            "  clause    SDO-30 must: *",
+            "FAIL: sdo_download_segment_response, but a segment with the wrong toggle bit*",
+            "  broken    SDO-30 must: *",
             "  replay    ecatspec run tiny.ecs --dut model:fault=toggle_ignored --replay case.*",
         ]
     )

@@ -254,7 +254,7 @@ def test_colours_change_no_letter(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_clause_that_no_text_declares_is_named() -> None:
     unknown = replace(FAIL, clauses=("XX-99",))
-    assert "clause    XX-99" in text(result(unknown))
+    assert "broken    XX-99" in text(result(unknown))
     assert '"id": "XX-99"' in REPORTS["json"]((result(unknown),), PROTOCOL)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 VIOLATIONS: Final = tuple(violations())
 DRAWN: Final = 6 * 60
 """60 claims each, drawn with the seeds 20, 21 and 23 to 26 from the demands that can be tested."""
+TRIED: Final = VIOLATIONS if os.environ.get("ECATSPEC_WHOLE") else VIOLATIONS[::2]
+"""Every second one, as `make test` does for its time."""
 MISSED: Final = {
     "AFAG-102",
     "AFAG-167",
@@ -81,7 +84,7 @@ def test_of_the_claims_that_were_drawn_all_but_few_are_found() -> None:
     "violation",
     [
         pytest.param(v, id=v.claim, marks=pytest.mark.xdist_group(f"claims of {v.device}"))
-        for v in VIOLATIONS
+        for v in TRIED
         if v.case
     ],
 )

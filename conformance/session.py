@@ -8,7 +8,7 @@ from time import monotonic
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.conformance.adapter import raise_local, read_all
+from ecatspec.conformance.adapter import AdapterError, DeviceFault, raise_local, read_all
 from ecatspec.conformance.verdict import BEFALLEN, MAIN_DEVICE, REASON, SUB_DEVICE, WAITS, TraceLine
 from ecatspec.generators.case import (
     Happen,
@@ -63,8 +63,6 @@ DATA_OUT, DATA_IN = PROCESS_DATA
 NOTHING: Final[Mapping[ObjectKey, bytes]] = MappingProxyType({})
 _SECOND = 1_000_000
 _FIRST_WAIT = 500
-_PROBES = (7, 1)
-"""Counters of the requests that look whether a mailbox answers at all: one of them is new."""
 _SLOWER = {True: 400, False: 4}
 """Each wait for the same is so much longer than the one before, in virtual and in real time: to
 wait costs nothing in one, to look nothing in the other."""
@@ -397,16 +395,23 @@ class Session:
             wait *= _SLOWER[self._virtual]
 
     def is_deaf(self) -> bool:
-        """Tell whether the mailbox answers nothing any more, where an answer was missed."""
+        """Tell whether the mailbox answers nothing any more, where an answer was missed.
+
+        A device that cannot be asked, or dies of it, is not: that is another cause.
+        """
         entry = probe_entry(self.model)
         if entry is None:
             return False
         start, length = self._area(MAIN_OUT)
-        for counter in _PROBES:
+        # one of two counters differs from that of the request before
+        for counter in (self.model.parameter("highest_counter"), 1):
             data = frame_bytes(self.model, upload(entry.index, entry.subindex), counter)
-            self.adapter.write(start, data[:length].ljust(length, b"\0"))
-            self.adapter.advance(self.model.parameter("response_timeout") / _SECOND)
-            if self.adapter.read(*self._area(MAIN_IN))[0]:
+            try:
+                self.adapter.write(start, data[:length].ljust(length, b"\0"))
+                self.adapter.advance(self.model.parameter("response_timeout") / _SECOND)
+                if self.adapter.read(*self._area(MAIN_IN))[0]:
+                    return False
+            except (AdapterError, DeviceFault):
                 return False
         return True
 

@@ -1,10 +1,9 @@
-"""The only place for what was broken: the least that would have to be otherwise, and its clauses.
+"""The only place that decides which clause an observation broke.
 
-Of the explanations that were possible before an observation the nearest are looked at: those in
-which the device has served what it was asked, and shows the fewest fields otherwise. What demands
-those fields (a layout, an entry of the object dictionary, a rule) is broken. Its clauses come
-first: a device's own before those of the standard, those that speak of little before those that
-speak of much; what only allows something is never broken and comes last.
+It starts from the explanations that were possible before the observation and takes the nearest:
+the device has served its requests, and the fewest fields differ. The source of the demand on these
+fields (a layout, an entry of the object dictionary, a rule) gives the clauses: those of a device
+before those of the standard, specific ones before general ones. A `may` clause is never broken.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _FAR: Final = 100
 """Something else altogether: more than any number of fields."""
 _VALUE: Final = "value"
 _WEAKER: Final[Mapping[Level, int]] = MappingProxyType({Level.MUST: 0, Level.SHOULD: 1})
-"""What only allows something is never broken."""
+"""How much less a level demands than `must`; all others demand nothing of a device."""
 _MUCH: Final = 8
 """Rules: a clause that more of them cite speaks of much."""
 _WAYS: Final = (True, False)
@@ -97,12 +96,16 @@ def blame(model: Model, alternatives: Iterable[Alternative]) -> Blame | None:
         # what each of them cites first comes before what one of them cites next
         rows = zip_longest(*(_ranked(model, each) for each in group))
         clauses |= dict.fromkeys(clause for row in rows for clause in row if clause)
-    ordered = sorted(
-        clauses, key=lambda clause: _WEAKER.get(model.protocol.clauses[clause].level, 2)
-    )
+    ordered = strongest_first(model, clauses)
     rules = tuple(dict.fromkeys(rule for each in nearest for rule in each.rules[-1:]))
     demand = demand or next(iter(ordered), nearest[0].layout)
-    return Blame(demand, rules, tuple(ordered), tuple(nearest))
+    return Blame(demand, rules, ordered, tuple(nearest))
+
+
+def strongest_first(model: Model, clauses: Iterable[str]) -> tuple[str, ...]:
+    """Give clauses in their order, `must` before `should`, and last what nobody can break."""
+    level = {clause: model.protocol.clauses[clause].level for clause in clauses}
+    return tuple(sorted(level, key=lambda clause: _WEAKER.get(level[clause], len(_WEAKER))))
 
 
 def _distance(model: Model, each: Alternative) -> tuple[int, int, int]:

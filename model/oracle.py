@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from ecatspec.model.blame import Alternative, blame
+from ecatspec.model.blame import Alternative, blame, strongest_first
 from ecatspec.model.candidates import (
     Candidate,
     Exchange,
@@ -710,15 +710,15 @@ class Oracle:
             for odd in [differs(c.state)]
         ]
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
-        found = self._mismatch(exchange, register.name, tuple(expected), observed, by)
-        clauses = _clauses_of(register, found.differing)
+        found = self._mismatch(
+            exchange, register.name, tuple(expected), observed, by, layouts=(register,)
+        )
         odd = [view for view in views if view.name in found.differing]
         if not any(view.truth or _shows_state(view.expression) for view in odd):
             self._overlooking = before
         return replace(
             found,
             reasons=self._reasons(refused) if refused else (),
-            clauses=tuple(dict.fromkeys((*found.clauses, *clauses))),
             clear=self._overlooking is not None,
         )
 
@@ -842,10 +842,14 @@ class Oracle:
                 for c, h in wrong.items()
                 if differs(c.state)
             ]
-        own = tuple(clause for word in words.values() for clause in word.clauses)
-        found = self._mismatch(exchange, "inputs", tuple(dict.fromkeys(told)), observed, by, own)
-        involved = (c for word in words.values() for c in _clauses_of(word, found.differing))
-        return replace(found, clauses=tuple(dict.fromkeys((*found.clauses, *involved))))
+        return self._mismatch(
+            exchange,
+            "inputs",
+            tuple(dict.fromkeys(told)),
+            observed,
+            by,
+            layouts=tuple(words.values()),
+        )
 
     def _read_full(self, register: Register, raw: int, exchange: Exchange) -> Mismatch | None:
         full = bool(field_of(self.model.protocol, register.name, "full", raw))
@@ -1124,10 +1128,16 @@ class Oracle:
         observed: str,
         alternatives: Iterable[Alternative] = (),
         more: tuple[str, ...] = (),
+        layouts: tuple[Register | Word, ...] = (),
     ) -> Mismatch:
-        """Give the mismatch, with what was broken; `more` clauses are involved too."""
+        """Give the mismatch, with what was broken.
+
+        `more` clauses are involved too, and those of the `layouts` in which the fields lie.
+        """
         found = blame(self.model, alternatives)
-        clauses = dict.fromkeys((*(() if found is None else found.clauses), *more))
+        own, fields = ((), ()) if found is None else (found.clauses, found.fields)
+        shown = (clause for layout in layouts for clause in _clauses_of(layout, fields))
+        clauses = dict.fromkeys(strongest_first(self.model, (*own, *more, *shown)))
         if not clauses:
             # before any rule fired it is the power-on value or the register itself that is broken
             register = subject if subject in self.model.views else f"{MAIN_IN}_status"
@@ -1136,10 +1146,10 @@ class Oracle:
             cause: tuple[str, ...] = (subject, *clauses)
         else:
             # what a register shows hangs together; where no reply is due, any is one too many
-            shown = subject in self.model.views
+            whole = subject in self.model.views
             due = any(each.layout for each in found.nearest)
-            kind = () if shown or found.fields or not due else (self._kind(observed),)
-            cause = (subject, found.demand, *(() if shown else found.fields), *kind)
+            kind = () if whole or fields or not due else (self._kind(observed),)
+            cause = (subject, found.demand, *(() if whole else fields), *kind)
         return Mismatch(
             exchange,
             subject,
@@ -1148,7 +1158,7 @@ class Oracle:
             () if found is None else found.rules,
             tuple(clauses),
             " ".join(dict.fromkeys(cause)),
-            differing=() if found is None else found.fields,
+            differing=fields,
             silent=found is not None and found.nearest[0].silent,
         )
 

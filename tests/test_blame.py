@@ -1,4 +1,4 @@
-"""The only place for tests of what a finding blames first, and of causes that hide no others."""
+"""The only place for tests of the clause that a finding names first, and of hidden causes."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
+from ecatspec.conformance.adapter import AdapterError, DeviceCrash, DeviceHang
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.marks import headline
 from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.session import Session
 from ecatspec.conformance.verdict import Outcome, Result, Verdict
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
+from ecatspec.model.blame import strongest_first
 from ecatspec.model.compiled import Model
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device, load_faults, plant
@@ -82,6 +85,33 @@ def test_a_dead_mailbox_is_one_finding() -> None:
     (found,) = findings("abort_kills", names=(*names, *aborting[:12]))
     assert found.outcome is Outcome.FAIL
     assert found.reason == "the mailbox answers nothing any more"
+
+
+@pytest.mark.parametrize("failure", [DeviceCrash, DeviceHang, AdapterError])
+def test_a_device_that_dies_of_the_probe_is_blamed_for_the_silence(
+    failure: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dies(*_: object) -> int:
+        raise failure("gone")
+
+    look = Session.is_deaf
+
+    def asked(session: Session) -> bool:
+        with monkeypatch.context() as patch:
+            patch.setattr(VirtualAdapter, "write", dies)
+            return look(session)
+
+    monkeypatch.setattr(Session, "is_deaf", asked)
+    (found,) = findings("command_unanswered", names=("sdo/unknown_command/5",))
+    assert (found.outcome, found.broken) == (Outcome.FAIL, "SDO-17")
+
+
+def test_a_clause_that_only_allows_comes_last() -> None:
+    clauses = ("AL-07", "PD-31", "ESC-02", "SDO-05")
+    assert strongest_first(Model(load_device("reference-drive")), clauses) == (
+        *("ESC-02", "PD-31"),
+        *("AL-07", "SDO-05"),
+    )
 
 
 @pytest.mark.parametrize(

@@ -221,7 +221,9 @@ def test_a_device_that_dies_fails_and_lives_again(desk: pytest.Pytester) -> None
 
 
 def test_what_cannot_be_judged_is_skipped_with_its_reason(desk: pytest.Pytester) -> None:
-    found = run(desk, "--ecat-dut", "canopen", "-k", "mailbox/repeat or malformed/sdo_ab", "-rs")
+    found = run(
+        desk, "--ecat-dut", "canopen", *PATIENT, "-k", "mailbox/repeat or malformed/sdo_ab", "-rs"
+    )
     assert set(outcomes(found)) == {"skipped"}
     found.stdout.fnmatch_lines_random(
         [

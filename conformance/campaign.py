@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING, Final, NoReturn
 
@@ -18,9 +18,9 @@ from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.devices import UserError, load
 from ecatspec.conformance.pools import Died, cluster_pool, process_pool
-from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.runner import Runner, ways_of
 from ecatspec.conformance.steps import Judged, Knowledge, Search
-from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.conformance.verdict import CAUSED, Outcome
 from ecatspec.model.compiled import Model
 
 if TYPE_CHECKING:
@@ -45,6 +45,9 @@ class Job:
     dut: str
     mailbox: str
     hang_timeout: float
+    choices: tuple[str, ...] = ()
+    accepted: Mapping[str, str] = field(default_factory=dict)
+    """The findings that are known, by their identity, and why."""
 
 
 # --- in a worker ----------------------------------------------------------------------------------
@@ -69,7 +72,14 @@ class _Bench:
             adapter = open_adapter(
                 job.dut, job.device, mailbox=job.mailbox, hang_timeout=job.hang_timeout
             )
-            self._job, self._runner = job, Runner(Model(protocol), adapter, adapter.describe())
+            self._job = job
+            self._runner = Runner(
+                Model(protocol),
+                adapter,
+                adapter.describe(),
+                accepted=job.accepted,
+                given=ways_of(protocol, job.choices),
+            )
         return self._runner
 
     def clear(self) -> None:
@@ -234,9 +244,10 @@ def stands(step: Step, judged: Judged, used: Knowledge, known: Knowledge) -> boo
         return not new & judged.met and used.signatures == known.signatures
     if outcome is Outcome.PASS:
         return not new & judged.met
-    if step.long and outcome in BLAMING:
-        short = signature not in used.signatures
-        return not new and short == (signature not in known.signatures)
+    if outcome in CAUSED:
+        # a case tells of the first cause that is not known
+        first = signature not in used.signatures
+        return not new and first == (signature not in known.signatures)
     return not new
 
 

@@ -171,6 +171,17 @@ _HANG_TIMEOUT: Final = click.option(
 @_MAILBOX
 @click.option("--only", default="", metavar="LAYER,...", help="Only the cases of these layers.")
 @click.option("--replay", default="", metavar="CASE", help="Run only this case: a name or a token.")
+@click.option(
+    "--known", default="", metavar="FILE", help="Go on past the deviations that FILE accepts."
+)
+@click.option("--write-known", metavar="FILE", help="Draft such a file from what is found.")
+@click.option(
+    "--choice",
+    "choices",
+    multiple=True,
+    metavar="NAME=WAY",
+    help="The device goes this way: nothing needs to show it. May be given again.",
+)
 @click.option("--results", metavar="FILE", help="Keep the run here, not in the user's folder.")
 @click.option(
     "--resume", is_flag=True, help="Go on with the run that is in FILE, or with the last."
@@ -193,6 +204,9 @@ def run(
     mailbox: str,
     only: str,
     replay: str,
+    known: str,
+    write_known: str | None,
+    choices: tuple[str, ...],
     results: str | None,
     resume: bool,
     workers: int,
@@ -208,6 +222,7 @@ def run(
     (--dut lib:PATH), a program (--dut "exec:COMMAND ARGUMENTS"), or what else `ecatspec adapters`
     lists.
     """
+    from ecatspec.conformance import known as known_deviations
     from ecatspec.conformance.devices import load
 
     if replay and (results is not None or resume):
@@ -219,6 +234,8 @@ def run(
         "mailbox": mailbox,
         "only": _layers(only),
         "replay": replay,
+        "known": known,
+        "choices": choices,
         "hang_timeout": hang_timeout,
     }
     if not replay:
@@ -226,16 +243,20 @@ def run(
     alone = workers == 1 and not cluster
     if not alone and (replay or (workers > 1 and cluster)):
         _refuse("--workers, --cluster and --replay exclude each other; give one of them")
-    with _written(reports) as write:
+    accepted = known_deviations.of(known, protocol.name)
+    with _written(reports) as write, _drafted(write_known) as drafted:
         if alone:
             result = _run(device, dut, options)
         else:
             from ecatspec.conformance.campaign import Job, crew
 
-            job = Job(device, protocol.digest, dut, mailbox, hang_timeout)
+            job = Job(
+                device, protocol.digest, dut, mailbox, hang_timeout, choices, accepted.reasons
+            )
             with _set_up("run"), crew(job, workers, cluster) as hands:
                 result = _run(device, dut, {**options, "crew": hands})
         write((result,), protocol)
+        drafted(known_deviations.draft(protocol.name, (result,), accepted))
     return _report((result,), protocol, reports)
 
 
@@ -867,6 +888,20 @@ def _output(path: str | None, *, text: bool) -> Iterator[IO[bytes]]:
     except OSError as error:
         why = error.strerror or type(error).__name__
         _refuse(f"{path!a} cannot be written ({why}); give another file")
+
+
+@contextmanager
+def _drafted(path: str | None) -> Iterator[Callable[[str], None]]:
+    """Give what writes a text to a file, if there is a path to one."""
+    if path is None:
+        yield lambda _: None
+        return
+    with _output(path, text=True) as file:
+
+        def write(text: str) -> None:
+            file.write(text.encode())
+
+        yield write
 
 
 @contextmanager

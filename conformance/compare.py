@@ -19,6 +19,7 @@ _WORST_FIRST: Final = (
     Outcome.FAIL,
     Outcome.ERROR,
     Outcome.WARNING,
+    Outcome.KNOWN,
     Outcome.INCONCLUSIVE,
     Outcome.SKIPPED,
     Outcome.PASS,

@@ -10,7 +10,7 @@ import sqlite3
 import tempfile
 import time
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -48,6 +48,7 @@ _FORCED: Final = 0.2
 _NO_OPTIONS: Final = {
     "digest": "is of other texts",
     "description": "is of a device that its adapter describes otherwise",
+    "known": "has other known deviations",
 }
 """What is said of parts of a set-up that nobody would want to read."""
 
@@ -66,6 +67,9 @@ class Basis:
     mailbox: str
     only: tuple[str, ...]
     version: str = version()
+    choices: tuple[str, ...] = ()
+    known: dict[str, str] = field(default_factory=dict)
+    """The findings that are accepted, by their identity, and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,10 +235,10 @@ def _refuse_unfinished(path: Path) -> None:
 
 
 def _refuse_others(path: Path, known: Basis, wanted: Basis) -> None:
-    for field in fields(Basis):
-        there, here = getattr(known, field.name), getattr(wanted, field.name)
+    for each in fields(Basis):
+        there, here = getattr(known, each.name), getattr(wanted, each.name)
         if there != here:
-            what = _NO_OPTIONS.get(field.name, f"has {field.name} {there!r}, this one {here!r}")
+            what = _NO_OPTIONS.get(each.name, f"has {each.name} {there!r}, this one {here!r}")
             raise UserError(f"the run in {path} {what}; resume it as it was, or begin another")
 
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
+from ecatspec.conformance import known as known_deviations
 from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, load, nearest
@@ -23,6 +25,7 @@ from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.verdict import (
     ADVISED,
     BLAMING,
+    CAUSED,
     FOUND,
     MAIN_DEVICE,
     REASON,
@@ -73,6 +76,7 @@ SHAPE = {"mailbox_support": "present", "emulation": "none"}
 EXAMPLES = {"quick": 30, "default": 150, "exhaustive": 1000}
 """Runs of random requests, by depth."""
 _NOT_SURE = "or an earlier case left something: the device is not power cycled before each"
+_LASTING = "it shows again after INIT, whatever earlier cases left: the device is not power cycled"
 _DEAF = "the mailbox answers nothing any more"
 _MUTE = ("killed", "exit status")
 """How the end of a device is told that says nothing of its cause."""
@@ -93,17 +97,32 @@ _STEPS = 6
 class Runner:
     """Runs cases against one device and keeps what they showed."""
 
-    def __init__(self, model: Model, adapter: Adapter, description: Description) -> None:
-        """Take the compiled texts and an open adapter."""
+    def __init__(
+        self,
+        model: Model,
+        adapter: Adapter,
+        description: Description,
+        *,
+        accepted: Mapping[str, str] = MappingProxyType({}),
+        given: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
+        """Take the compiled texts and an open adapter.
+
+        `accepted` has the findings that are known, by their identity, and why; `given` the ways of
+        the device that need not be found out.
+        """
         self.model = model
         self.adapter = adapter
         self.description = description
         if description.closed_dictionary:
             model.dictionary.close()
-        self.session = Session(adapter, model, Oracle(model), overlooks=True)
+        self.accepted = accepted
+        self.session = Session(adapter, model, Oracle(model), overlooks=True, accepted=accepted)
         self.verdicts: list[Verdict] = []
         self.rules: set[RuleName] = set()
-        self.choices: dict[str, str] = shape_of(model.protocol)
+        self.given: dict[str, str] = {**shape_of(model.protocol), **given}
+        """What is taken for granted of the device."""
+        self.choices: dict[str, str] = dict(self.given)
         self.refusals: dict[str, str] = {}
         """Why the device refused a transition, with the first case that showed it."""
         self.session.oracle.raised = description.locals
@@ -129,15 +148,19 @@ class Runner:
         """AL Status has changed in some step."""
         self.behind = False
         """The case that was judged last has more new causes than the one that it was given."""
+        self.planned = 0
+        """The cases of the run, as far as they are known."""
 
     # --- steps ------------------------------------------------------------------------------------
 
     def run(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases in order; a case of a layer that is not the device's own is skipped."""
+        self.planned += total
         self._through(map(Trial, cases), progress, total)
 
     def run_long(self, cases: Iterable[Case], progress: Progress | None, total: int) -> None:
         """Run cases as `run` does; one that shows a new cause is made as short as it goes."""
+        self.planned += total
         self._through((Trial(case, long=True) for case in cases), progress, total)
 
     def _through(self, steps: Iterable[Step], progress: Progress | None, total: int) -> None:
@@ -178,7 +201,7 @@ class Runner:
         """Take what a step told as known; that a step taken here is known already is no harm."""
         told = judged.learned
         self.verdicts.append(judged.verdict)
-        if judged.verdict.outcome in FOUND:
+        if judged.verdict.outcome in CAUSED:
             self.signatures.add(judged.verdict.signature)
         self.choices |= told.choices
         self.untold |= set(told.untold)
@@ -210,7 +233,7 @@ class Runner:
         self.rules, self.met = set(), set()
         match step:
             case Trial(case, long=False):
-                verdict = self._ruled(case)
+                verdict = self._depending(case, self._ruled(case))
             case Trial(case):
                 verdict = self._long(case)
             case Search(seed=chosen, examples=examples):
@@ -241,7 +264,7 @@ class Runner:
             verdict = replace(verdict, replay=token_of(case))
         if verdict.outcome in BLAMING and verdict.signature not in self.signatures:
             return self._shortened(case, verdict)
-        return verdict
+        return self._depending(case, verdict)
 
     def _shortened(self, case: Case, verdict: Verdict) -> Verdict:
         def fails(tried: Case) -> bool:
@@ -253,9 +276,43 @@ class Runner:
             short = shortest(case, fails, tries)
         except ValueError:
             return verdict  # it does not fail every time
-        return replace(
+        found = replace(
             self.judge(short), flag=case.flag, rules=verdict.rules, replay=token_of(short)
         )
+        return self._depending(short, found)
+
+    def _depending(self, case: Case, verdict: Verdict) -> Verdict:
+        """Say of a new finding without which ways, found in earlier cases, it is none."""
+        learned = {n: way for n, way in self.choices.items() if n not in self.given}
+        new = verdict.outcome in FOUND and verdict.signature not in self.signatures
+        if not new or not learned or verdict.outcome is Outcome.CRASH:
+            return verdict
+
+        def shows(ways: Mapping[str, str]) -> bool:
+            again = self._aside(case, ways)
+            return again.signature == verdict.signature
+
+        if shows({}) or not shows(learned):
+            return verdict  # of one that does not show each time nothing more can be said
+        needed = dict(learned)
+        for name in learned:
+            without = {n: way for n, way in needed.items() if n != name}
+            if shows(without):
+                needed = without
+        return replace(verdict, depends=tuple(f"{n}={way}" for n, way in sorted(needed.items())))
+
+    def _aside(self, case: Case, ways: Mapping[str, str], *, cold: bool = True) -> Verdict:
+        """Judge a case by these ways and what was given; what it tells is not kept."""
+        kept = self.choices, self.believed, self.untold, self.refusals, self.rules, self.met
+        behind = self.behind
+        self.choices, self.believed = {**self.given, **ways}, {}
+        self.untold, self.refusals = set(self.untold), dict(self.refusals)
+        self.rules, self.met = set(self.rules), set(self.met)
+        try:
+            return self._judge(case, cold=cold)
+        finally:
+            self.choices, self.believed, self.untold, self.refusals, self.rules, self.met = kept
+            self.behind = behind
 
     def complete(self, depth: str, progress: Progress | None) -> list[str]:
         """Run the complete suites of the device as it has shown to go; give what they are worth."""
@@ -305,7 +362,26 @@ class Runner:
         if verdict.outcome is not Outcome.PASS and self.believed:
             self.believed = {}
             verdict = self._judge(case)
+        if self._is_binding(verdict) and self._lasts(case, verdict):
+            # the texts demand it, and nothing but the device can be the cause
+            return replace(verdict, outcome=Outcome.FAIL, reason=_LASTING)
         return verdict
+
+    def _is_binding(self, verdict: Verdict) -> bool:
+        """Tell whether a warning is of a clause that binds every device."""
+        clause = self.model.protocol.clauses.get(verdict.broken)
+        warns = verdict.outcome is Outcome.WARNING
+        return warns and clause is not None and clause.level is Level.MUST
+
+    def _lasts(self, case: Case, verdict: Verdict) -> bool:
+        """Tell whether a device without a power cycle goes wrong again after INIT.
+
+        Its objects and its drive may be as earlier cases left them.
+        """
+        if self.description.power_cycles:
+            return False
+        learned = {n: way for n, way in self.choices.items() if n not in self.given}
+        return self._aside(case, learned, cold=False).signature == verdict.signature
 
     def _untried(self, case: Case) -> Verdict | None:
         """Give the verdict of a case that the way to the device cannot carry."""
@@ -322,12 +398,13 @@ class Runner:
             return Verdict(case.name, Outcome.SKIPPED, case.title, reason)
         return None
 
-    def _judge(self, case: Case) -> Verdict:
+    def _judge(self, case: Case, *, cold: bool = True) -> Verdict:
         self.session.forget_trace()
         self.behind = False
         position = -1
         try:
-            self.session.begin(self.choices | self.believed, self.configuration())
+            choices = self.choices | self.believed
+            self.session.begin(choices, self.configuration() if cold else {}, cold=cold)
             for position, stimulus in enumerate(case.stimuli):
                 if position == case.prelude and case.needs is not None:
                     states = self.session.oracle.al_states()
@@ -359,11 +436,15 @@ class Runner:
             return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
         for signature, advice in self.session.advice.items():
             if signature not in self.signatures:
-                return self._against(case, advice.mismatch, advice.trace, advice.time, ADVISED)
+                found = self._against(case, advice.mismatch, advice.trace, advice.time, ADVISED)
+                return self._as_accepted(found)
         return Verdict(case.name, Outcome.PASS, case.title)
 
     def _new_one(self, case: Case, last: Verdict) -> Verdict:
-        """Give the first that tells of a new cause: what was overlooked, or how the case ended."""
+        """Give the first that tells of a new cause: what was overlooked, or how the case ended.
+
+        What is accepted comes after all else.
+        """
         found = [
             self._against(case, each.mismatch, each.trace, each.time)
             for each in self.session.overlooked.values()
@@ -374,10 +455,18 @@ class Runner:
         if last.outcome in FOUND or not found:
             found.append(last)
         if last.outcome is Outcome.CRASH:
-            return last
+            return self._as_accepted(last)
         new = [each for each in found if each.signature not in self.signatures]
+        other = [each for each in found if each.signature not in self.accepted]
+        first = [each for each in new if each.signature not in self.accepted]
         self.behind = len(new) > 1
-        return new[0] if new else found[0]
+        return self._as_accepted((*first, *other, *new, *found)[0])
+
+    def _as_accepted(self, verdict: Verdict) -> Verdict:
+        """Give the verdict of a finding, as known where it is accepted."""
+        if verdict.outcome not in FOUND or verdict.signature not in self.accepted:
+            return verdict
+        return replace(verdict, outcome=Outcome.KNOWN, reason=self.accepted[verdict.signature])
 
     def _certain_rules(self) -> frozenset[RuleName]:
         """Give the rules that fired for sure, none that rests on what is only believed."""
@@ -426,6 +515,7 @@ class Runner:
         if not carried or not self.wanted("sdo"):
             return
         for number in range(_ROUNDS):
+            self.planned += 1
             self._through((Search(first_seed + number, examples),), progress, _ROUNDS)
             if self.verdicts[-1].outcome not in BLAMING:
                 return
@@ -566,6 +656,30 @@ def shape_of(protocol: Protocol) -> dict[str, str]:
     return {name: way for name, way in SHAPE.items() if name not in protocol.pins}
 
 
+def ways_of(protocol: Protocol, choices: Iterable[str]) -> dict[str, str]:
+    """Give the ways that a user says a device goes, each as `choice=alternative`.
+
+    Raises:
+        UserError: There is no such choice or way, or the text of the device has decided it.
+
+    """
+    found: dict[str, str] = {}
+    for each in choices:
+        name, _, way = each.partition("=")
+        choice = protocol.choices.get(name)
+        if choice is None:
+            raise nearest("choice", name, tuple(protocol.choices))
+        ways = tuple(alternative.name for alternative in choice.alternatives)
+        if way not in ways:
+            raise nearest(f"way of {name}", way, ways)
+        pin = protocol.pins.get(name)
+        if pin is not None and pin.alternative != way:
+            said = f"{protocol.name} says that {name} is {pin.alternative}"
+            raise UserError(f"{said}; leave out {each!r}, or change the text")
+        found[name] = way
+    return found
+
+
 class _Found(Exception):  # noqa: N818
     """A new cause was found; Hypothesis shrinks it."""
 
@@ -600,6 +714,8 @@ def run_device(
     only: tuple[str, ...] = (),
     hang_timeout: float = HANG_TIMEOUT,
     replay: str = "",
+    known: str = "",
+    choices: tuple[str, ...] = (),
     keep: Callable[[Basis], Journal | None] | None = None,
     crew: Crew | None = None,
     progress: Progress | None = None,
@@ -607,11 +723,12 @@ def run_device(
     """Run everything against one device under test; Ctrl-C ends with what was found so far.
 
     `replay` names one case, or is the token of one: only that is run. `only` names the layers that
-    are tried, none: all. `keep` opens the journal that each verdict goes to, and from which an
-    interrupted run goes on. A `crew` judges the cases elsewhere.
+    are tried, none: all. `known` is the path of a file of known deviations, `choices` are ways that
+    the device is said to go (`choice=alternative`). `keep` opens the journal that each verdict goes
+    to, and from which an interrupted run goes on. A `crew` judges the cases elsewhere.
 
     Raises:
-        UserError: There is no such device, layer or case, or the set-up is wrong.
+        UserError: There is no such device, layer, case or choice, or the set-up is wrong.
 
     """
     began = time.monotonic()
@@ -621,6 +738,8 @@ def run_device(
         if layer not in protocol.machines:
             raise nearest("layer", layer, tuple(protocol.machines))
     model = Model(protocol)
+    given = ways_of(protocol, choices)
+    accepted = known_deviations.of(known, protocol.name)
     if crew is None:
         adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
     else:
@@ -628,18 +747,32 @@ def run_device(
     with contextlib.ExitStack() as stack:
         stack.callback(adapter.close)
         description = adapter.describe()
-        runner = Runner(model, adapter, description)
+        runner = Runner(model, adapter, description, accepted=accepted.reasons, given=given)
         runner.crew, runner.only = crew, frozenset(only)
         if keep is not None:
             told = description.to_json()
-            basis = Basis(protocol.name, protocol.digest, dut, told, depth, seed, mailbox, only)
+            basis = Basis(
+                protocol.name,
+                protocol.digest,
+                dut,
+                told,
+                depth,
+                seed,
+                mailbox,
+                only,
+                choices=choices,
+                known=dict(accepted.reasons),
+            )
             journal = keep(basis)
             if journal is not None:
                 runner.journal = stack.enter_context(journal)
                 began -= journal.seconds
         guarantees, interrupted = _run_all(runner, depth, seed, replay, progress)
-        set_up = SetUp(device, dut, depth, seed, mailbox, started)
+        set_up = SetUp(device, dut, depth, seed, mailbox, started, known, choices)
         result = _result(runner, guarantees, began, set_up, interrupted=interrupted)
+        whole = not (interrupted or replay or only)
+        notes = accepted.notes({v.signature for v in runner.verdicts}, whole=whole)
+        result = replace(result, notes=(*result.notes, *notes))
         if runner.journal is not None and not result.interrupted:
             runner.journal.finish()
     return result
@@ -701,6 +834,7 @@ def _result(
         tuple(guarantees),
         set_up,
         runner.unreached(),
+        runner.planned,
     )
 
 

@@ -49,7 +49,7 @@ from ecatspec.model.values import bits_of
 from ecatspec.model.words import message_words, register_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.model.codec import Message
@@ -131,8 +131,10 @@ class Session:
     """What should have been otherwise, by signature."""
     overlooks: bool = False
     """A deviation after which the state of the device is clear does not end a case."""
+    accepted: Collection[str] = ()
+    """The identities of deviations that are known: the oracle goes on with them."""
     overlooked: dict[str, Advice] = field(default_factory=dict)
-    """Those of this case, by signature."""
+    """What did not end this case though it deviates, by signature."""
     _answers: list[Message] = field(default_factory=list)
     """The messages that the device sent since somebody began to count."""
     _counter: int = 0
@@ -175,8 +177,14 @@ class Session:
         """Begin with an empty trace."""
         self._told = []
 
-    def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
-        """Power cycle the device."""
+    def begin(
+        self,
+        choices: dict[str, str],
+        objects: Mapping[ObjectKey, bytes] = NOTHING,
+        *,
+        cold: bool = True,
+    ) -> None:
+        """Power cycle the device; where it is not `cold` its objects may hold anything after it."""
         self.adapter.reset()
         self.time = 0
         description = self.adapter.describe()
@@ -194,7 +202,7 @@ class Session:
         self._hurries = False
         self.advice = {}
         self.overlooked = {}
-        self.oracle.power_on(choices, objects)
+        self.oracle.power_on(choices, objects, cold=cold)
         self._look()
 
     def apply(self, stimulus: Stimulus) -> None:
@@ -537,7 +545,7 @@ class Session:
         if demanded and not counter:
             mismatch = self.oracle.unreadable(names[0], exchange)
             if mismatch is not None:
-                raise Deviation(mismatch)
+                self._deviates(mismatch, exchange)
         told = self.oracle.reasons() if names == AL else ()
         self._observe(exchange)
         if names == AL:
@@ -577,13 +585,37 @@ class Session:
         mismatch = self.oracle.observe(exchange)
         if mismatch is not None:
             self._keep_up()
-            if not (mismatch.clear and self.overlooks):
-                raise Deviation(mismatch)
-            for each in (mismatch, *mismatch.beside):
-                seen = Advice(each, tuple(self.trace), self.time)
-                self.overlooked.setdefault(each.signature, seen)
-            self.oracle.overlook()
+            self._deviates(mismatch, exchange)
         self._take_advice()
+
+    def _deviates(self, mismatch: Mismatch, exchange: Exchange) -> None:
+        """Go on where the state of the device is clear, or the deviation is known.
+
+        Raises:
+            Deviation: It cannot be gone on.
+
+        """
+        clear = mismatch.clear and self.overlooks
+        known = self._known(mismatch, exchange)
+        if not clear and known is None:
+            raise Deviation(mismatch)
+        for each in (known or mismatch, *mismatch.beside):
+            self.overlooked.setdefault(each.signature, Advice(each, tuple(self.trace), self.time))
+        if clear:
+            self.oracle.overlook()
+        else:
+            self.oracle.accept(exchange)
+
+    def _known(self, mismatch: Mismatch, exchange: Exchange) -> Mismatch | None:
+        """Give the mismatch as it is known, None where it is not.
+
+        Behind another that is known there are more explanations, and one of them may know it.
+        """
+        if mismatch.signature in self.accepted:
+            return mismatch
+        behind = any(signature in self.accepted for signature in self.overlooked)
+        every = list(self.oracle.mismatches(exchange)) if behind and not exchange.write else []
+        return next((each for each in every if each.signature in self.accepted), None)
 
     def _take_advice(self) -> None:
         for signature in self.oracle.advice.keys() - self.advice.keys():

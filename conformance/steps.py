@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from ecatspec.conformance.verdict import FOUND, Verdict
+from ecatspec.conformance.verdict import CAUSED, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -55,7 +55,7 @@ class Knowledge:
     def after(self, judged: Judged) -> Knowledge:
         """Give what is known after one more step."""
         told = judged.learned
-        found = {judged.verdict.signature} if judged.verdict.outcome in FOUND else frozenset()
+        found = {judged.verdict.signature} if judged.verdict.outcome in CAUSED else frozenset()
         return Knowledge(
             {**self.choices, **told.choices},
             {} if told.disbelieved else self.believed,

@@ -36,6 +36,7 @@ _WORST_FIRST: Final = (
     Outcome.FAIL,
     Outcome.ERROR,
     Outcome.WARNING,
+    Outcome.KNOWN,
     Outcome.PASS,
     Outcome.INCONCLUSIVE,
     Outcome.SKIPPED,

@@ -10,11 +10,16 @@ from typing import Final
 
 
 class Outcome(StrEnum):
-    """How a case ended. `error` is trouble of the adapter, `crash` the death of the device."""
+    """How a case ended.
+
+    `error` is trouble of the adapter, `crash` the death of the device; what is `known` would be a
+    failure, a warning or a crash, and the user accepts it.
+    """
 
     PASS = "pass"
     FAIL = "fail"
     WARNING = "warning"
+    KNOWN = "known"
     INCONCLUSIVE = "inconclusive"
     SKIPPED = "skipped"
     ERROR = "error"
@@ -24,6 +29,8 @@ class Outcome(StrEnum):
 BLAMING = frozenset({Outcome.FAIL, Outcome.CRASH})
 FOUND = BLAMING | {Outcome.WARNING}
 """How a case ends that tells of a cause to look at."""
+CAUSED = FOUND | {Outcome.KNOWN}
+"""How a case ends that tells of a cause, known or not."""
 MAIN_DEVICE: Final = "MainDevice"
 SUB_DEVICE: Final = "SubDevice"
 REASON: Final = "reason"
@@ -39,6 +46,8 @@ class Conclusion(StrEnum):
     """What a run says of the device as a whole."""
 
     CONFORMS = "conforms"
+    DEVIATES_AS_KNOWN = "deviates as is known"
+    """All that would blame it was accepted before."""
     NOT_SHOWN = "not shown"
     """Nothing blames it, but it never was in a state that cases needed."""
     DOES_NOT_CONFORM = "does not conform"
@@ -99,6 +108,8 @@ class Verdict:
     """The fields of `observed` that are not as expected, or its layout."""
     blamed: tuple[str, ...] = ()
     """The rules by which the device should have gone where it was blamed."""
+    depends: tuple[str, ...] = ()
+    """The ways (`choice=alternative`) found earlier in the run without which it is no finding."""
 
     @property
     def broken(self) -> str:
@@ -142,12 +153,19 @@ class SetUp:
     mailbox: str
     began: str
     """Date and time, as ISO 8601 writes them."""
+    known: str = ""
+    """The file of known deviations."""
+    choices: tuple[str, ...] = ()
+    """The ways (`choice=alternative`) that were given."""
 
-    def command(self, replay: str) -> str:
-        """Give the command line that runs one case again."""
+    def command(self, verdict: Verdict) -> str:
+        """Give the command line that runs the case of a verdict again, with the same verdict."""
         words = ["ecatspec", "run", self.device, "--dut", self.dut]
         words += ["--mailbox", self.mailbox] if self.mailbox else []
-        return shlex.join((*words, "--replay", replay))
+        words += ["--known", self.known] if self.known else []
+        for way in dict.fromkeys((*self.choices, *verdict.depends)):
+            words += ["--choice", way]
+        return shlex.join((*words, "--replay", verdict.again))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +189,17 @@ class Result:
     """None: it was no run, and no case of it can be run again."""
     unreached: tuple[str, ...] = ()
     """The AL states that cases needed and none reached."""
+    planned: int = 0
+    """The cases of the whole run, as far as they are known; 0: they are not."""
+
+    def interruption(self) -> str:
+        """Say how far an interrupted run came, and how to go on; empty: it came to its end."""
+        if not self.interrupted:
+            return ""
+        done = f"interrupted after {len(self.verdicts)}"
+        if not self.planned:
+            return f"{done} cases"
+        return f"{done} of {self.planned} cases; --resume goes on"
 
     def count(self, outcome: Outcome) -> int:
         """Count the verdicts of one outcome."""
@@ -181,13 +210,17 @@ class Result:
         """Say what was found of the device, so far if the run was interrupted."""
         if any(verdict.outcome in BLAMING for verdict in self.verdicts):
             return Conclusion.DOES_NOT_CONFORM
-        shown = self.interrupted or not self.unreached
-        return Conclusion.CONFORMS if shown else Conclusion.NOT_SHOWN
+        if not self.interrupted and self.unreached:
+            return Conclusion.NOT_SHOWN
+        return Conclusion.DEVIATES_AS_KNOWN if self.count(Outcome.KNOWN) else Conclusion.CONFORMS
 
     @property
     def conforms(self) -> bool:
-        """Tell whether nothing blames the device, and it was wherever cases needed it."""
-        return self.conclusion is Conclusion.CONFORMS
+        """Tell whether nothing blames the device, and it was wherever cases needed it.
+
+        What is known blames nobody.
+        """
+        return self.conclusion in {Conclusion.CONFORMS, Conclusion.DEVIATES_AS_KNOWN}
 
     def unreached_words(self) -> str:
         """Say which AL states were never reached, and why the first case that needed them was not.
@@ -214,7 +247,13 @@ class Result:
 
     def findings(self) -> tuple[Finding, ...]:
         """Group what is no pass by cause, most severe first, shortest trace for each."""
-        wanted = (Outcome.CRASH, Outcome.FAIL, Outcome.ERROR, Outcome.WARNING)
+        wanted = (
+            Outcome.CRASH,
+            Outcome.FAIL,
+            Outcome.ERROR,
+            Outcome.WARNING,
+            Outcome.KNOWN,
+        )
         groups: dict[tuple[Outcome, str], list[Verdict]] = {}
         for verdict in self.verdicts:
             if verdict.outcome in wanted:

@@ -40,6 +40,15 @@ def step(model: Model, state: State, event: Event) -> tuple[Step, ...]:
     return tuple(done for partial, given in first for done in _complete(model, partial, given))
 
 
+@once
+def by_any_rule(model: Model, state: State, event: Event) -> tuple[Step, ...]:
+    """Give what a device may do with an input if it minds the guard of no rule; perhaps nothing."""
+    current = state.slots[model.slots[f"{event.machine}.state"]]
+    rules = [r for r in model.rules(event.machine, event.input) if current in r.sources]
+    first = [each for rule in rules if not rule.gap for each in _apply(model, state, event, rule)]
+    return tuple(done for partial, given in first for done in _complete(model, partial, given))
+
+
 def _complete(model: Model, partial: Step, given: tuple[Event, ...]) -> list[Step]:
     done = [partial]
     for event in given:

@@ -8,6 +8,7 @@ that none of them allows is a mismatch.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 from ecatspec.model.blame import Alternative, blame, strongest_first
@@ -61,7 +62,7 @@ from ecatspec.model.shown import (
     words_in,
 )
 from ecatspec.model.state import Event, Output, RuleName, State
-from ecatspec.model.unknowns import any_states, is_open
+from ecatspec.model.unknowns import any_states, is_open, warm
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, bits_of, is_any
 from ecatspec.model.words import (
     bytes_words,
@@ -137,12 +138,15 @@ class Oracle:
         self,
         choices: dict[str, str] | None = None,
         objects: Mapping[ObjectKey, bytes] | None = None,
+        *,
+        cold: bool = True,
     ) -> None:
         """Begin with a device that was just switched on.
 
-        `choices` are known ways it goes, `objects` values that it is known to have then.
+        `choices` are known ways it goes, `objects` values that it is known to have then. One that
+        is not `cold` came back to INIT, and what its objects hold is not known.
         """
-        state = self.model.initial
+        state = self.model.initial if cold else warm(self.model)
         for key, value in (objects or {}).items():
             state = state.keeping(key, value)
         for name, alternative in (choices or {}).items():
@@ -973,6 +977,99 @@ class Oracle:
         """Go on as if the last mismatch, which was clear, had been right."""
         assert self._overlooking is not None
         self.candidates = self._overlooking
+
+    def mismatches(self, exchange: Exchange) -> Iterator[Mismatch]:
+        """Yield what each explanation alone makes of an exchange that none of them allows."""
+        every = self.candidates
+        for candidate, history in every.items():
+            self.candidates = {candidate: history}
+            found = self.judge(exchange)
+            if found is not None:
+                yield found
+        self.candidates = every
+
+    def accept(self, exchange: Exchange) -> None:
+        """Go on with what the last mismatch showed as what this device does there.
+
+        It may have gone by any rule of what it was asked, or have left it undone, and whatever it
+        answered takes the place of the answer that was due. Where none of this leads to what was
+        seen, it is in the state that it shows, and at last nothing else is known of it.
+        """
+        before = {**self.candidates, **self.expanded(exchange.time)}
+        self._suspicion = None
+        if exchange.write:
+            return
+        inside = _inside(self.model, *exchange.span())
+        mail = not inside and not self._concerned(DATA_IN, exchange)
+        ways = self._answered if mail else self._strayed
+        self.candidates = widened(way for each in before.items() for way in ways(*each))
+        if mail or not exchange.working_counter or self.judge(exchange) is None:
+            return
+        self.candidates = {
+            candidate.having(state): history
+            for candidate, history in self.candidates.items()
+            for state in self._shown_in(candidate.state, exchange)
+        }
+        if self.judge(exchange) is not None:
+            self.unknown(keep=True)
+            self.judge(exchange)
+
+    def _shown_in(self, state: State, exchange: Exchange) -> Iterator[State]:
+        """Yield the states in which machines that an exchange shows may be anywhere."""
+        names = [register.name for register in _inside(self.model, *exchange.span())]
+        if self._concerned(DATA_IN, exchange):
+            names = [name for name, _ in words_in(self.model, state, exchange.data)]
+        machines = sorted({each for name in names for each in machines_of(self.model, name)})
+        slots = [self.model.slots[f"{machine}.state"] for machine in machines]
+        for values in product(*map(self.model.state_names, machines)):
+            found = state
+            for slot, value in zip(slots, values, strict=True):
+                found = found.having(slot, value)
+            if not self.model.broken(found):
+                yield found
+
+    def _strayed(
+        self, candidate: Candidate, history: tuple[RuleName, ...]
+    ) -> Iterator[tuple[Candidate, tuple[RuleName, ...]]]:
+        """Yield what a device may be that goes on otherwise than an explanation has it."""
+        yield from self._answered(candidate, history)
+        yield replace(candidate, loose=Loose.ONE), history
+        yield candidate.expecting(()), history
+        for position, pending in enumerate(candidate.inbox):
+            rest = candidate.inbox[:position] + candidate.inbox[position + 1 :]
+            for left, rules in served(self.model, candidate, pending, rest, guarded=False):
+                yield left, history + rules
+
+    def _answered(
+        self, candidate: Candidate, history: tuple[RuleName, ...]
+    ) -> Iterator[tuple[Candidate, tuple[RuleName, ...]]]:
+        """Yield what a device may be that answered otherwise, or not at all."""
+        if not candidate.outbox:
+            yield candidate, history
+        for output in candidate.outbox[:1]:
+            for taken in afterwards(self.model, candidate.state, output, {}):
+                left = self._left(candidate, taken, candidate.outbox[1:], 0)
+                state = left.state
+                for _, into in self.model.replies[output.frame].values():
+                    if into is not None:
+                        state = state.having(self.model.slots[into], UNKNOWN)
+                yield left.having(state), history + taken.rules
+                # a refusal may have ended what the answer was a part of
+                for name, slot in self.model.slots.items():
+                    if name.startswith(f"{output.rule.machine}."):
+                        state = state.having(slot, self.model.initial.slots[slot])
+                state = self._unsure(state, dict(output.asked).get("index"))
+                yield left.having(state), history + taken.rules
+
+    def _unsure(self, state: State, index: Value | None) -> State:
+        """Give the state in which it is not known what an object holds."""
+        for key in self.model.dictionary.entries:
+            if key[0] == index:
+                state = state.forgetting(key)
+                word = self.model.words.get(key)
+                if word is not None:
+                    state = state.having(self.model.slots[f"word {word.name}"], UNKNOWN)
+        return state
 
     def _due_reply(self, candidate: Candidate, output: Output) -> Alternative:
         """Give the explanation that a reply is due, with the entry that it speaks of."""

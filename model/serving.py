@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ecatspec.model.candidates import Candidate, Loose, with_alarms
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.dictionary import CROWDED
-from ecatspec.model.interpreter import step
+from ecatspec.model.interpreter import by_any_rule, step
 from ecatspec.model.once import once
 from ecatspec.model.shown import definitely
 from ecatspec.model.state import Output
@@ -136,13 +136,21 @@ def grown(model: Model, explanations: Explanations, time: int) -> Grown | None:
 
 
 def served(
-    model: Model, candidate: Candidate, pending: Pending, rest: tuple[Pending, ...]
+    model: Model,
+    candidate: Candidate,
+    pending: Pending,
+    rest: tuple[Pending, ...],
+    *,
+    guarded: bool = True,
 ) -> list[tuple[Candidate, tuple[RuleName, ...]]]:
-    """Give what a candidate may be after it served an input, `rest` is left, and the rules."""
+    """Give what a candidate may be after it served an input, `rest` is left, and the rules.
+
+    Where it is not `guarded` it may go by rules that do not hold.
+    """
     event = pending.event
     mail = bool(event.trail)
     found = []
-    for way in _ways(model, candidate.state, event):
+    for way in _ways(model, candidate.state, event, guarded):
         taken, outbox = way.taken, candidate.outbox
         if not (mail and outbox):
             outbox += way.due
@@ -178,7 +186,7 @@ def served(
 
 
 @once
-def _ways(model: Model, state: State, event: Event) -> tuple[_Way, ...]:
+def _ways(model: Model, state: State, event: Event, guarded: bool) -> tuple[_Way, ...]:  # noqa: FBT001
     was_alive = is_alive(model, state)
     return tuple(
         _Way(
@@ -194,5 +202,5 @@ def _ways(model: Model, state: State, event: Event) -> tuple[_Way, ...]:
             is_shut(model, taken.state),
             after_open(model, taken.state) if is_open(model, taken) else (),
         )
-        for taken in step(model, state, event)
+        for taken in (step if guarded else by_any_rule)(model, state, event)
     )

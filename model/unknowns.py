@@ -29,6 +29,17 @@ def any_states(model: Model, choices: Mapping[str, str], kept: State | None) -> 
     return _states(model, base, {machine: model.state_names(machine) for machine in _told(model)})
 
 
+@once
+def warm(model: Model) -> State:
+    """Give the state of a device that came back to INIT: its objects may hold what was written."""
+    state = model.initial
+    for name, slot in model.slots.items():
+        owner, _, variable = name.partition(".")
+        if name.startswith("word ") or (variable and owner in model.worded):
+            state = state.having(slot, UNKNOWN)
+    return state
+
+
 def is_open(model: Model, taken: Step) -> bool:
     """Tell whether the texts leave open what the AL does: with it goes all that rests on it."""
     return taken.unspecified and not model.open_gaps.isdisjoint(taken.rules)

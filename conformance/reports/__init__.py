@@ -10,7 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance.verdict import CAUSED, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Report = Callable[[Sequence[Result], Protocol], str]
 
 
-_JUDGED: Final = frozenset({Outcome.PASS, Outcome.FAIL, Outcome.WARNING, Outcome.CRASH})
+_JUDGED: Final = CAUSED | {Outcome.PASS}
 
 
 def judged(result: Result) -> bool:

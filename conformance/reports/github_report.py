@@ -41,6 +41,6 @@ def _line(result: Result, finding: Finding) -> str:
     if verdict.observed:
         said.append(f"observed: {verdict.observed}")
     if result.set_up is not None:
-        said.append(result.set_up.command(verdict.again))
+        said.append(result.set_up.command(verdict))
     title = f"{verdict.outcome.value}: {verdict.title}"
     return annotation("error" if bad else "warning", *said, title=title)

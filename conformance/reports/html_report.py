@@ -84,12 +84,13 @@ def _run(number: int, result: Result, model: Model) -> View:
 
 
 def _judgement(result: Result) -> tuple[str, str]:
-    late = " (interrupted: what was found so far)" if result.interrupted else ""
+    interrupted = result.interruption()
+    late = f" ({interrupted})" if interrupted else ""
     if not judged(result):
         return "", f"Not judged{late}"
     words = result.conclusion.value.capitalize()
     match result.conclusion:
-        case Conclusion.CONFORMS:
+        case Conclusion.CONFORMS | Conclusion.DEVIATES_AS_KNOWN:
             return "good", f"{words}{late}"
         case Conclusion.NOT_SHOWN:
             return "bad", f"{words}: {result.unreached_words()}{late}"
@@ -133,7 +134,7 @@ def _finding(name: str, finding: Finding, result: Result, model: Model) -> View:
         "case": verdict.case,
         "at": verdict.at,
         "also": f"the same in {plural(cases - 1, 'other case')}" if cases > 1 else "",
-        "replay": result.set_up and result.set_up.command(verdict.again),
+        "replay": result.set_up and result.set_up.command(verdict),
         "trace": _trace(verdict, model),
         "lines": plural(len(verdict.trace), "line"),
     }

@@ -103,6 +103,8 @@ class FindingPart(Brief, frozen=True):
     signature: str
     trace: list[Line]
     also: list[str]
+    depends: list[str]
+    """The ways (`choice=alternative`) found earlier in the run without which it is no finding."""
     replay: str
     """What `--replay` takes."""
     command: str | None
@@ -205,7 +207,6 @@ def _brief(verdict: Verdict) -> tuple[str, Outcome, str, str, str, str]:
 
 def _finding(finding: Finding, result: Result, protocol: Protocol) -> FindingPart:
     verdict = finding.verdict
-    replay = verdict.again
     return FindingPart(
         *_brief(verdict),
         clauses=[_clause(name, protocol) for name in verdict.clauses],
@@ -217,8 +218,9 @@ def _finding(finding: Finding, result: Result, protocol: Protocol) -> FindingPar
         signature=verdict.signature,
         trace=[Line(line.time, line.who, line.what, line.data.hex()) for line in verdict.trace],
         also=sorted(finding.also),
-        replay=replay,
-        command=None if result.set_up is None else result.set_up.command(replay),
+        depends=list(verdict.depends),
+        replay=verdict.again,
+        command=None if result.set_up is None else result.set_up.command(verdict),
     )
 
 

@@ -97,8 +97,7 @@ def _whole(suite: ET.Element, device: str, result: Result, protocol: Protocol) -
         ET.SubElement(case, "error", {"message": "nothing could be judged"})
     counts = (f"{result.count(outcome)} {outcome.value}" for outcome in Outcome)
     notes = [*counts, *result.guarantees, *result.notes]
-    notes += ["interrupted: what was found so far"] if result.interrupted else []
-    _output(case, notes[:_LINES])
+    _output(case, [*notes, *filter(None, [result.interruption()])][:_LINES])
 
 
 def _clause(suite: ET.Element, classname: str, covered: Covered, result: Result) -> None:
@@ -149,7 +148,7 @@ def _lines(finding: Finding, result: Result) -> Iterable[str]:
     if finding.also:
         yield f"also in {plural(len(finding.also), 'other case')}"
     if result.set_up is not None:
-        yield f"replay: {result.set_up.command(verdict.again)}"
+        yield f"replay: {result.set_up.command(verdict)}"
     else:
         yield f"case: {verdict.case}"
 

@@ -53,7 +53,7 @@ def _result(result: Result, protocol: Protocol) -> Iterable[str]:
         yield from _line(number, finding)
     for number, finding in enumerate(findings, 1):
         yield ""
-        again = result.set_up.command(finding.verdict.again) if result.set_up is not None else ""
+        again = result.set_up.command(finding.verdict) if result.set_up is not None else ""
         yield from _finding(f"{number}. ", finding, protocol, again)
     unjudged = result.unjudged()
     if unjudged:
@@ -69,6 +69,7 @@ def _result(result: Result, protocol: Protocol) -> Iterable[str]:
 def _judgement(result: Result, findings: Sequence[Finding]) -> str:
     words = {
         Conclusion.CONFORMS: "conforms",
+        Conclusion.DEVIATES_AS_KNOWN: "deviates as is known, and conforms otherwise",
         Conclusion.NOT_SHOWN: f"NOT SHOWN: {result.unreached_words()}",
         Conclusion.DOES_NOT_CONFORM: "DOES NOT CONFORM",
     }[result.conclusion]
@@ -76,9 +77,8 @@ def _judgement(result: Result, findings: Sequence[Finding]) -> str:
         words = "NOT JUDGED"
     if findings:
         words += f": {plural(len(findings), 'finding')}"
-    if result.interrupted:
-        words += " (interrupted: what was found so far)"
-    return words
+    late = result.interruption()
+    return f"{words} ({late})" if late else words
 
 
 def _summary(result: Result, protocol: Protocol) -> Iterable[str]:

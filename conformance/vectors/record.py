@@ -97,13 +97,19 @@ class Recorder(Session):
 
     # --- what is done -----------------------------------------------------------------------------
 
-    def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
+    def begin(
+        self,
+        choices: dict[str, str],
+        objects: Mapping[ObjectKey, bytes] = NOTHING,
+        *,
+        cold: bool = True,
+    ) -> None:
         """Power cycle the device, and forget the steps before."""
         self.steps = []
         self._draft = _Draft()
         self._rules_told = 0
         self._states = {}
-        super().begin(choices, objects)
+        super().begin(choices, objects, cold=cold)
         self._close()
 
     def apply(self, stimulus: Stimulus) -> None:

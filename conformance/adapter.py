@@ -32,18 +32,25 @@ class Unheard(AdapterError):  # noqa: N818  nobody is wrong
 
 
 class DeviceFault(Exception):  # noqa: N818  a fault of the device is an observation
-    """What the device did instead of answering; catch this to catch all three kinds."""
+    """What the device did instead of answering; catch this to catch all three kinds.
 
-    def __init__(self, reason: str) -> None:
+    `cause` has the same words in every run; `placed`: it says where in the device the fault is.
+    """
+
+    def __init__(self, reason: str, cause: str = "", *, placed: bool = False) -> None:
         super().__init__(reason)
         self.reason: Final = reason
+        self.cause: Final = cause or reason.rpartition(":")[2].strip()
+        self.placed: Final = placed
 
 
 class DeviceCrash(DeviceFault):
     """The device ended; `stderr_tail` is the end of what it said on its error stream."""
 
-    def __init__(self, reason: str, stderr_tail: str = "") -> None:
-        super().__init__(reason)
+    def __init__(
+        self, reason: str, stderr_tail: str = "", *, cause: str = "", placed: bool = False
+    ) -> None:
+        super().__init__(reason, cause, placed=placed)
         self.stderr_tail: Final = stderr_tail
 
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import AdapterError, raise_local
 from ecatspec.conformance.adapters import FACTORIES
+from ecatspec.conformance.dying import tell_the_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -47,6 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, replies = _private_descriptors()
     threading.Thread(target=_end_with_the_run, args=(requests,), daemon=True).start()
+    if name == "lib":
+        tell_the_stack()
     try:
         serve = _server(name, text)
     except AdapterError as error:

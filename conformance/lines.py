@@ -39,6 +39,7 @@ from ecatspec.conformance.adapter import (
     check_duration,
     check_span,
 )
+from ecatspec.conformance.stacks import crash, own_words
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -228,14 +229,19 @@ class LineAdapter:
         self._link = None
         how = link.end_of_silence()
         tail = link.last_words()
-        last = _telling(tail)
+        died = crash(tail)
+        last = _telling(own_words(tail))
         reason = f"the device ended: {how}"
         if ended.unfinished:
             reason += f", {ended.unfinished} bytes into an answer"
         if last:
             reason += f"; it said: {last[-200:]}"
         self._obituary = how
-        raise DeviceCrash(reason, tail) from None
+        if died is None:
+            raise DeviceCrash(reason, tail) from None
+        if died.stack:
+            reason += f"; stack: {', '.join(map(str, died.stack))}"
+        raise DeviceCrash(reason, tail, cause=died.cause, placed=bool(died.stack)) from None
 
 
 class Lines:

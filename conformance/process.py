@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 STDERR_KEPT: Final = 64 << 10
 _GRACE: Final = 0.5
 """Seconds a process gets to end by itself before the next, harder, step."""
-_HALT: Final = "halt_on_error=1"
-"""What makes a program with an undefined behaviour sanitizer end at its first report."""
+_HALT: Final = "halt_on_error=1:print_stacktrace=1:print_summary=1:report_error_type=1"
+"""What makes an undefined behaviour sanitizer end its program at the first report, with a stack."""
 
 
 class ProcessAdapter(LineAdapter):

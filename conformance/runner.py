@@ -619,20 +619,20 @@ class Runner:
         rules = () if found is None else found.rules
         return next((rule.clauses for rule in rules if rule.name == name), ())
 
-    def _death(self, case: Case, death: Exception) -> Verdict:
+    def _death(self, case: Case, death: DeviceFault) -> Verdict:
         trace = tuple(self.session.trace)
         last = _last_stimulus(trace)
         oracle, attempt = self.session.oracle, self.session.attempt
         rules = oracle.due_rules() if attempt is None else oracle.attempted(attempt)
         inner = [rule for rule in rules if rule.machine != "mailbox"] or rules
         clauses = tuple(dict.fromkeys(c for rule in inner for c in rule_clauses(self.model, rule)))
-        kind, said = type(death).__name__, _kind(death)
+        kind, said = type(death).__name__, death.cause
         # an error of its own words is the same wherever it comes; a signal says nothing of why
         cause = (kind, *(sorted(clauses) if said.startswith(_MUTE) else ()), said)
         return Verdict(
             case.name,
             Outcome.CRASH,
-            f"{said} at {last.partition(':')[0]}",
+            said if death.placed else f"{said} at {last.partition(':')[0]}",
             f"last stimulus: {last}",
             ("an answer, and a device that lives",),
             str(death),
@@ -686,10 +686,6 @@ class _Found(Exception):  # noqa: N818
 
 def _last_stimulus(trace: tuple[TraceLine, ...]) -> str:
     return next((line.what for line in reversed(trace) if line.who == MAIN_DEVICE), "power-on")
-
-
-def _kind(death: Exception) -> str:
-    return str(death).rsplit(":", 1)[-1].strip()
 
 
 def _told(steps: Iterable[Step], progress: Progress | None, total: int) -> Iterator[Step]:

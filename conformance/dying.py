@@ -42,8 +42,8 @@ _REGISTERS: Final = {
     "aarch64": _Registers(440, 424, on_stack=False),
 }
 _SA_SIGINFO: Final = 4
-_SA_NODEFER: Final = 0x40000000
-_SA_RESETHAND: Final = 0x80000000
+_SA_NODEFER: Final = 1 << 30
+_SA_RESETHAND: Final = 1 << 31
 _DEPTH: Final = 128
 """Frames at most; the way into the handler takes some twenty."""
 _LIMIT: Final = 2

@@ -327,6 +327,15 @@ def sanitized(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return slips(folder / "libslips.so", "-fsanitize=address")
 
 
+def test_undefined_behaviour_has_a_stack_too(tmp_path: Path) -> None:
+    if not sanitizes(tmp_path):
+        pytest.skip("the compiler has no sanitizers")
+    file = slips(tmp_path / "libslips.so", "-fsanitize=undefined")
+    found = death(file, 4)
+    assert found.cause == "integer-divide-by-zero in act (slips.c:23)"
+    assert found.reason.endswith(f"; stack: {WAY.format(23)}")
+
+
 def test_crashes_at_one_place_are_one_finding(debug: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STILL", "yes")
     model = Model(load("standard"))

@@ -536,6 +536,24 @@ def test_rules_can_be_marked() -> None:
     assert arrow.names((last,))[0] == last
 
 
+def test_a_brief_drawing_names_rules_without_their_guards() -> None:
+    protocol = loaded("standard")
+    brief = svg.drawing(protocol, "sdo", {"upload_expedited": "gone"}, brief=True)
+    assert_readable(brief)
+    graph = graph_of(protocol, "sdo")
+    tips = {element.text for element in ET.fromstring(brief).iter(f"{SVG}title")}
+    for arrow in graph.arrows:
+        names = [
+            f"{n}: gone" if n == "upload_expedited" else n for n in (r.name for r in arrow.rules)
+        ]
+        assert "\n".join((f"{arrow.source} to {arrow.target}", *names)) in tips
+    assert not any(tip == graph.tips[rule.name] for tip in tips for rule in graph.machine.rules)
+    assert {graph.tips[state] for state in graph.machine.states} <= tips
+    (legend,) = ET.fromstring(brief).iterfind(f"{SVG}g[@class='ecs-legend']")
+    assert not list(legend.iter(f"{SVG}title"))
+    assert len(brief) < len(drawn("standard", "sdo", "svg")) / 2
+
+
 # --- the command ----------------------------------------------------------------------------------
 
 

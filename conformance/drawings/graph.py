@@ -103,14 +103,14 @@ def graph_of(protocol: Protocol, name: str) -> Graph:
     machine = protocol.machines.get(name)
     if machine is None:
         raise nearest("machine", name, sorted(protocol.machines))
-    never = tuple(rule for rule in machine.rules if _never(protocol, machine, rule))
+    never = tuple(rule for rule in machine.rules if cannot_fire(protocol, machine, rule))
     alive = tuple(rule for rule in machine.rules if rule not in never)
     arrows = tuple(_arrows(machine, alive))
     unreached = tuple(_unreached(machine, arrows))
     aside = tuple(state for state in ASIDE.get(name, ()) if state in machine.states)
     line = tuple(state for state in machine.states if state not in aside)
     rows = {row.name: row for row in protocol.tables[machine.table].rows}
-    tips = {rule.name: _tip(rule) for rule in machine.rules}
+    tips = {rule.name: rule_words(rule) for rule in machine.rules}
     tips |= {s: f"{s} = {rows[s].value}: {rows[s].wording}" for s in machine.states if s in rows}
     return Graph(
         protocol.name,
@@ -124,7 +124,8 @@ def graph_of(protocol: Protocol, name: str) -> Graph:
     )
 
 
-def _tip(rule: Rule) -> str:
+def rule_words(rule: Rule) -> str:
+    """Say on what a rule fires, and by which clauses."""
     when = "" if rule.guard is None else f" when {pretty_expression(rule.guard)}"
     return " ".join(f"{rule.name} [{', '.join(rule.clauses)}]: on {rule.input}{when}".split())
 
@@ -179,8 +180,8 @@ def _legend(
         for rule, where in staying:
             if _acts(rule) is acts:
                 groups.setdefault(where, []).append(rule.name)
-        for where in sorted(groups, key=lambda states: _place(machine, states)):
-            yield Entry(f"{words} in {_states(machine, where)}", tuple(groups[where]))
+        for where in sorted(groups, key=lambda states: states_place(machine, states)):
+            yield Entry(f"{words} in {states_words(machine, where)}", tuple(groups[where]))
     if unreached:
         yield Entry("Never reached in this device", unreached)
     if never:
@@ -203,11 +204,13 @@ def _acts(rule: Rule) -> bool:
     return any(ways) or rule.take is not None or rule.after is not None
 
 
-def _place(machine: Machine, states: tuple[str, ...]) -> tuple[int, list[int]]:
+def states_place(machine: Machine, states: tuple[str, ...]) -> tuple[int, list[int]]:
+    """Give where a group of states comes: the larger first, else in the order of the states."""
     return -len(states), [machine.states.index(state) for state in states]
 
 
-def _states(machine: Machine, states: tuple[str, ...]) -> str:
+def states_words(machine: Machine, states: tuple[str, ...]) -> str:
+    """Name states in few words."""
     others = [state for state in machine.states if state not in states]
     if not others and len(states) > 1:
         return "every state"
@@ -219,7 +222,8 @@ def _states(machine: Machine, states: tuple[str, ...]) -> str:
 # --- rules that cannot fire -----------------------------------------------------------------------
 
 
-def _never(protocol: Protocol, machine: Machine, rule: Rule) -> bool:
+def cannot_fire(protocol: Protocol, machine: Machine, rule: Rule) -> bool:
+    """Tell whether the pins of the device rule out that a rule ever fires."""
     scope = Scope(machine.name, rule.input)
     return rule.guard is not None and _holds(protocol, rule.guard, scope) is False
 

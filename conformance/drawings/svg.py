@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.drawings.graph import ERRORS, graph_of
@@ -53,24 +54,43 @@ _COLOURS: Final = """
 """
 
 
-def drawing(protocol: Protocol, machine: str, marked: Mapping[str, str] | None = None) -> str:
+def drawing(
+    protocol: Protocol,
+    machine: str,
+    marked: Mapping[str, str] | None = None,
+    *,
+    brief: bool = False,
+) -> str:
     """Draw a machine; `marked` gives rules a CSS class, at their names and at their arrows.
+
+    A `brief` drawing stands beside a list of the rules: its arrows name their rules and how they
+    are marked, without inputs and guards.
 
     Raises:
         UserError: There is no such machine.
 
     """
     graph = graph_of(protocol, machine)
-    page = _Page(graph, layout(graph, marked or {}), marked or {})
+    page = _Page(graph, layout(graph, marked or {}), marked or {}, brief=brief)
     root = page.draw()
     ET.indent(root, " ")
     text: bytes = ET.tostring(root, encoding="us-ascii", xml_declaration=False)
     return text.decode("ascii") + "\n"
 
 
+def _named(graph: Graph, marked: Mapping[str, str]) -> Graph:
+    """Say of each rule its name and its mark, and nothing more."""
+    names = [rule.name for rule in graph.machine.rules]
+    said = {name: f"{name}: {marked[name]}" if name in marked else name for name in names}
+    return replace(graph, tips=graph.tips | said)
+
+
 class _Page:
-    def __init__(self, graph: Graph, placed: Layout, marked: Mapping[str, str]) -> None:
-        self.graph = graph
+    def __init__(
+        self, graph: Graph, placed: Layout, marked: Mapping[str, str], *, brief: bool
+    ) -> None:
+        self.graph = _named(graph, marked) if brief else graph
+        self.brief = brief
         self.placed = placed
         self.marked = marked
         self.width = max(placed.width, _WIDEST, width(graph.title, SIZE + 2)) + 2 * _MARGIN
@@ -187,8 +207,8 @@ class _Page:
         yield line + (":" if entry.names else "")
 
     def _name(self, into: ET.Element, name: str, at: Point) -> None:
-        group = ET.SubElement(into, "g")
-        if name in self.graph.tips:
+        group = into if self.brief else ET.SubElement(into, "g")
+        if name in self.graph.tips and not self.brief:
             _text_in(group, "title", self.graph.tips[name])
         self._write(group, name, at, mark=self.marked.get(name, ""))
 

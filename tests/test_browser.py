@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
 from ecatspec.conformance.diff.comparison import Comparison
 from ecatspec.conformance.diff.page import page as diff_page
@@ -54,6 +54,30 @@ RESULT: Final = Result(
     ("a note",),
     set_up=SetUp(DEVICE.name, "exec:./slave", "quick", 0, "", "2026-01-02T03:04:05+00:00"),
 )
+
+CONTRAST: Final = """kinds => {
+  const parts = (colour) => {
+    const box = Object.assign(document.createElement("canvas"), { width: 1, height: 1 });
+    const draw = box.getContext("2d", { willReadFrequently: true });
+    for (const each of [getComputedStyle(page).backgroundColor, colour]) {
+      draw.fillStyle = each;
+      draw.fillRect(0, 0, 1, 1);
+    }
+    return [...draw.getImageData(0, 0, 1, 1).data].slice(0, 3);
+  };
+  const light = (colour) => parts(colour).map((part) => part / 255)
+    .map((part) => part <= 0.03928 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, part, at) => sum + part * [0.2126, 0.7152, 0.0722][at], 0);
+  const page = document.body.appendChild(document.createElement("div"));
+  page.style.background = "Canvas";
+  return [...document.querySelectorAll(kinds)].map((each) => {
+    const behind = each.closest("thead th") ?? page;
+    const lights = [getComputedStyle(each).color, getComputedStyle(behind).backgroundColor];
+    const [dark, bright] = lights.map(light).sort((one, other) => one - other);
+    return (bright + 0.05) / (dark + 0.05);
+  });
+}"""
+"""How much the words of elements differ from what is behind them, as WCAG 2 counts it."""
 
 pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium: apt-get install chromium"),
@@ -106,6 +130,24 @@ def rows(page: Page) -> list[str]:
     return page.locator("table.clauses tbody tr:visible th").all_inner_texts()
 
 
+def finder(page: Page, what: str) -> Locator:
+    """The field that searches the clauses or the findings."""
+    return page.get_by_role("searchbox", name=f"Find {what}")
+
+
+def counted(page: Page, what: str) -> str:
+    return page.locator(f"form[data-what={what}] output").inner_text()
+
+
+def findings(page: Page) -> list[str]:
+    """The findings that are shown, and their lines in the list, by their numbers."""
+    titles = page.locator("article:visible h3").all_inner_texts()
+    lines = page.locator("ol.short > li:visible").evaluate_all("all => all.map(l => l.value)")
+    numbers = [title.partition(".")[0] for title in titles]
+    assert numbers == [str(line) for line in lines]
+    return numbers
+
+
 def test_the_page_opens_with_its_verdict(opened: Opened) -> None:
     page = opened.page
     assert page.title() == "Conformance of reference-drive"
@@ -118,20 +160,107 @@ def test_words_filter_the_clauses(opened: Opened) -> None:
     page = opened.page
     every = rows(page)
     assert every == list(DEVICE.clauses)
-    page.get_by_role("searchbox").fill("mbx-06")
+    finder(page, "clauses").fill("mbx-06")
     assert "MBX-06" in rows(page)
     assert len(rows(page)) < len(every)
-    assert page.locator("output").inner_text() == f"{len(rows(page))} of {len(every)} clauses"
-    page.get_by_role("searchbox").fill("no clause says this")
+    assert counted(page, "clauses") == f"{len(rows(page))} of {len(every)} clauses"
+    finder(page, "clauses").fill("no clause says this")
     assert rows(page) == []
 
 
 def test_what_was_shown_filters_the_clauses(opened: Opened) -> None:
     page = opened.page
-    page.get_by_role("combobox").select_option("failed")
+    page.get_by_role("combobox", name="Show clauses").select_option("failed")
     assert rows(page) == [FINDING.broken]
-    page.get_by_role("combobox").select_option("held")
+    page.get_by_role("combobox", name="Show clauses").select_option("held")
     assert "AL-02" in rows(page)
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("counter 0 TWICE", ["2"]),  # the title
+        ("sdo/7", ["1"]),  # the case
+        ("mbx-06 unknown", ["1"]),  # a clause, and another word
+        ("index 0x1000", ["1", "2"]),  # a field
+        ("no state explains it", ["1", "2"]),  # the reason
+        ("waits 0.5 ms", []),  # what sequences say is alike in many findings
+        ("no finding says this", []),
+    ],
+)
+def test_words_filter_the_findings(opened: Opened, words: str, shown: list[str]) -> None:
+    page = opened.page
+    assert findings(page) == ["1", "2"]
+    assert counted(page, "findings") == "2 of 2 findings"
+    finder(page, "findings").fill(words)
+    assert findings(page) == shown
+    assert counted(page, "findings") == f"{len(shown)} of 2 findings"
+    assert len(rows(page)) == len(DEVICE.clauses)
+    finder(page, "findings").fill("")
+    assert findings(page) == ["1", "2"]
+
+
+def test_how_they_ended_filters_the_findings(opened: Opened) -> None:
+    opened.page.get_by_role("combobox", name="Show findings").select_option("crash")
+    assert findings(opened.page) == ["1"]
+
+
+def test_a_link_to_a_finding_that_is_filtered_away_shows_it(opened: Opened) -> None:
+    page = opened.page
+    finder(page, "findings").fill("sdo/7")
+    page.locator(f"#run-1-clause-{FINDING.broken}").get_by_role("link", name="2").click()
+    expect(page.locator("#run-1-finding-2")).to_be_in_viewport()
+    assert findings(page) == ["1", "2"]
+
+
+def test_the_first_sequence_alone_is_open_and_clauses_come_behind(opened: Opened) -> None:
+    sequences = opened.page.locator("article > details")
+    assert sequences.evaluate_all("all => all.map(d => d.open)") == [True, False]
+    order = "all => all.map(d => d.nextElementSibling.querySelector('dt').textContent)"
+    assert sequences.evaluate_all(order) == ["Broken", "Broken"]
+
+
+def test_the_whole_run_is_a_table_that_can_be_read_without_colours(opened: Opened) -> None:
+    page = opened.page
+    table = page.get_by_role("table", name="How far the run got")
+    heads = table.get_by_role("columnheader").all_inner_texts()
+    assert heads == [
+        "machine",
+        "✓ exercised",
+        "✗ blamed",
+        "○ not exercised",
+        "\N{EN DASH} cannot fire",
+        "rules",
+    ]
+    row = table.get_by_role("row").filter(has=page.get_by_role("rowheader", name="al", exact=True))
+    exercised, blamed, *others, total = map(int, row.get_by_role("cell").all_inner_texts())
+    assert (exercised, blamed) == (1, 1)
+    assert exercised + blamed + sum(others) == total == len(DEVICE.machines["al"].rules)
+    row.get_by_role("link").click()
+    rules = page.get_by_role("region", name="Table of the rules of al")
+    expect(rules).to_be_in_viewport()
+    preop = rules.get_by_role("row").filter(
+        has=page.get_by_role("rowheader", name="PREOP", exact=True)
+    )
+    assert "✓ exercised: preop_kept" in " ".join(preop.inner_text().split())
+
+
+def test_print_shows_all_but_what_is_for_hands(opened: Opened) -> None:
+    opened.page.emulate_media(media="print")
+    assert not opened.page.locator("form").first.is_visible()
+    assert opened.page.locator("table.rules span").first.is_visible()
+    adjusted = "b => getComputedStyle(b).printColorAdjust"
+    assert opened.page.locator(".bar").first.evaluate(adjusted) == "exact"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_word_of_the_whole_run_has_contrast(
+    browser: Browser, report: Path, scheme: str
+) -> None:
+    opened = Opened(browser, report, color_scheme=scheme)
+    ratios = opened.page.evaluate(CONTRAST, ".whole th, .rules b, .rules span")
+    assert min(ratios) >= 4.5
+    opened.page.close()
 
 
 def test_links_lead_from_findings_to_clauses_and_back(opened: Opened) -> None:
@@ -139,7 +268,7 @@ def test_links_lead_from_findings_to_clauses_and_back(opened: Opened) -> None:
     page.locator("ol.short a").last.click()
     heading = page.locator("#run-1-finding-2")
     assert heading.inner_text().startswith("2. counter 0 twice")
-    page.get_by_role("searchbox").fill("no clause says this")
+    finder(page, "clauses").fill("no clause says this")
     page.locator("article").last.get_by_role("link", name="MBX-06").click()
     row = page.locator("#run-1-clause-MBX-06")
     expect(row).to_be_in_viewport()  # a row that was filtered away is shown again
@@ -196,7 +325,7 @@ def test_readers_find_landmarks_headings_and_captions(opened: Opened) -> None:
     assert page.evaluate(
         "[...document.querySelectorAll('input,select')].every(i => i.labels.length === 1)"
     )
-    assert page.get_by_role("img").count() == 2  # the two machines, each with its title
+    assert page.get_by_role("img").count() == 5  # each machine with its title
 
 
 @pytest.mark.parametrize("width", [320, 390, 1280])
@@ -221,7 +350,8 @@ def test_the_page_is_light_or_dark(browser: Browser, report: Path, scheme: str, 
 def test_the_page_says_all_without_scripts(browser: Browser, report: Path) -> None:
     opened = Opened(browser, report, java_script_enabled=False)
     assert len(rows(opened.page)) == len(DEVICE.clauses)
-    assert not opened.page.locator("form").is_visible()
+    assert findings(opened.page) == ["1", "2"]
+    assert not opened.page.locator("form:visible").count()
     assert not opened.complaints
     opened.page.close()
 

@@ -19,14 +19,17 @@ from hypothesis import strategies as st
 from ecatspec.conformance import reports
 from ecatspec.conformance.colours import coloured
 from ecatspec.conformance.marks import parts
+from ecatspec.conformance.reached import Mark, Reached, lacking, reached
 from ecatspec.conformance.reports import REPORTS, judged
 from ecatspec.conformance.reports.json_report import SCHEMA, VERSION, json_schema
 from ecatspec.conformance.reports.text import WIDTH
 from ecatspec.conformance.verdict import Outcome, Result, SetUp, TraceLine, Verdict
-from ecatspec.spec.language.ir import Level
-from ecatspec.spec.language.load import load_standard
+from ecatspec.model.compiled import Model
+from ecatspec.spec.language.ir import Level, Pin, Protocol
+from ecatspec.spec.language.load import load_device, load_standard
 
 PROTOCOL = load_standard()
+DRIVE = load_device("reference-drive")
 CLAUSE = PROTOCOL.clauses["AL-08"]
 
 FAIL = Verdict(
@@ -530,13 +533,143 @@ def test_the_page_colours_what_was_exercised_and_blamed() -> None:
     gone = replace(result(FAIL), rules_covered=("al.init_to_preop",))
     said = page(gone)
     assert re.search(r'<text [^>]*class="exercised"[^>]*>init_to_preop<', said)
-    assert re.search(r'<text [^>]*class="failed"[^>]*>preop_skipping_refused<', said)
+    assert re.search(r'<text [^>]*class="blamed"[^>]*>preop_skipping_refused<', said)
 
 
 def test_the_page_says_where_it_comes_from() -> None:
     said = page(ALL)
     for word in (PROTOCOL.digest, "exec:./my slave", "2026-01-02T03:04:05+00:00", "quick"):
         assert word in said
+
+
+def diagrams(said: str) -> list[str]:
+    return re.findall(r'aria-label="Diagram of the machine (\w+)"', said)
+
+
+def test_the_page_draws_every_machine_that_the_device_has() -> None:
+    several = [name for name, machine in DRIVE.machines.items() if len(machine.states) > 1]
+    assert {"al", "ds402", "process_data", "sdo", "sdo_information"} <= set(several)
+    assert diagrams(REPORTS["html"]((result(),), DRIVE)) == several
+    # the standard declares no words of a drive
+    assert set(several) - set(diagrams(page(result()))) == {"ds402"}
+    assert "ds402: the texts declare no control and status word" in page(result())
+
+
+def test_the_page_names_each_rule_once_in_the_whole_run() -> None:
+    ran = replace(result(FAIL), rules_covered=("al.init_to_preop", "ds402.cause_gone"))
+    said = page(ran)
+    whole = said[said.index(' id="run-1-whole"') : said.index(' id="run-1-machines"')]
+    named = re.findall(r"<span title=[^>]*>(\w+)</span>", whole)
+    rules = [
+        rule.name for name, m in PROTOCOL.machines.items() if name != "ds402" for rule in m.rules
+    ]
+    assert sorted(named) == sorted(rules)
+    (counts,) = re.findall(r"#run-1-rules-al.*", whole)
+    numbers = [int(number) for number in re.findall(r"<td[^>]*>(\d+)</td>", counts)]
+    assert numbers[:2] == [1, 1]
+    assert sum(numbers[:4]) == numbers[4] == len(PROTOCOL.machines["al"].rules)
+    # every group says in words what its colour says
+    groups = re.findall(r'<p class="(\w+)"><b>(\S) ([^,:]+)', whole)
+    assert {kind: (sign, words) for kind, sign, words in groups} == {
+        "exercised": ("\N{CHECK MARK}", "exercised"),
+        "blamed": ("\N{BALLOT X}", "blamed"),
+        "unreached": ("\N{WHITE CIRCLE}", "not exercised"),
+        "impossible": ("\N{EN DASH}", "cannot fire"),
+    }
+
+
+def test_the_page_stays_small() -> None:
+    """Pictures and the whole run say of each rule once on what it fires, and by which clauses."""
+    said = REPORTS["html"]((result(),), DRIVE)
+    rules = sum(len(machine.rules) for machine in DRIVE.machines.values())
+    clauses = said[said.index(' id="run-1-clauses"') : said.index(' id="run-1-choices"')]
+    assert len(said) - len(clauses) < 700 * rules
+
+
+# --- whole run ------------------------------------------------------------------------------------
+
+DRIVEN = replace(PASS, case="ds402/1")
+
+
+def found(ran: Result, protocol: Protocol, rule: str) -> Reached:
+    machine, _, name = rule.partition(".")
+    (one,) = (r for r in reached(ran, Model(protocol))[machine] if r.rule.name == name)
+    return one
+
+
+def why(ran: Result, rule: str) -> str:
+    one = found(ran, DRIVE, rule)
+    assert one.mark is Mark.UNREACHED
+    return one.why
+
+
+def test_a_rule_is_exercised_or_blamed() -> None:
+    ran = replace(result(FAIL), rules_covered=("al.init_to_preop", *FAIL.blamed))
+    assert found(ran, PROTOCOL, "al.init_to_preop").mark is Mark.EXERCISED
+    assert found(ran, PROTOCOL, FAIL.blamed[0]).mark is Mark.BLAMED  # whatever else it showed
+    warned = replace(result(replace(FAIL, outcome=Outcome.WARNING)), rules_covered=())
+    assert found(warned, PROTOCOL, FAIL.blamed[0]).mark is Mark.UNREACHED
+
+
+def test_a_rule_that_the_choices_rule_out_cannot_fire() -> None:
+    one = found(result(PASS), DRIVE, "al.copied_down")
+    assert one.mark is Mark.IMPOSSIBLE
+    assert one.why == "the device goes another way: emulation = none (from the text)"
+    refused = "al.op_skipping_drops"
+    assert found(replace(result(PASS), choices={}), DRIVE, refused).mark is Mark.UNREACHED
+    told = found(replace(result(PASS), choices={"refused_in_op": "stay"}), DRIVE, refused)
+    assert told.mark is Mark.IMPOSSIBLE
+    assert told.why == "the device goes another way: refused_in_op = stay (found)"
+
+
+def test_a_rule_of_states_that_were_never_reached_says_so() -> None:
+    needs = replace(
+        DRIVEN, case="al/1", outcome=Outcome.INCONCLUSIVE, reason="needs AL state OP, x"
+    )
+    tried = replace(PASS, case="al/2")
+    missing = replace(result(tried, needs), rules_covered=("al.init_to_preop",), unreached=("OP",))
+    assert why(missing, "al.op_to_safeop") == "OP was never reached (needs AL state OP, x)"
+    assert why(missing, "al.boot_kept") == "the machine was never surely in BOOT"
+    assert why(missing, "al.preop_kept") == "no case of the depth quick surely went by it"
+    said = REPORTS["html"]((missing,), DRIVE)
+    assert re.search(r"OP <span[^>]*>\(OP never reached\)</span></th>", said)
+
+
+def test_a_machine_that_no_case_tried_says_so() -> None:
+    assert why(result(PASS), "al.init_to_preop") == "no case of al was run"
+    skipped = "al is not the device's own: X supplies sdo"
+    left = tuple(replace(each, reason=skipped) for each in SKIPPED)
+    words = f"every case of al was left unjudged: {skipped}"
+    assert why(result(PASS, *left), "al.init_to_preop") == words
+
+
+def test_a_rule_whose_event_cannot_be_raised_says_so() -> None:
+    words = "X cannot raise fault, mains_off"
+    refused = replace(DRIVEN, case="ds402/2", outcome=Outcome.SKIPPED, reason=words)
+    assert why(result(DRIVEN, refused), "ds402.fault_13") == words
+    assert "depth quick" in why(result(DRIVEN, refused), "ds402.cause_gone")
+
+
+def test_a_rule_without_another_reason_says_what_the_run_was() -> None:
+    ran = result(DRIVEN)
+    rule = "ds402.fault_13"
+    assert why(ran, rule) == "no case of the depth quick surely went by it"
+    assert why(replace(ran, set_up=replace(SET_UP, depth="exhaustive")), rule).startswith(
+        "no case s"
+    )
+    assert why(replace(ran, interrupted=True), rule) == "the run was interrupted"
+    assert why(replace(ran, set_up=None), rule) == "nothing that was captured surely went by it"
+
+
+def test_a_device_lacks_machines() -> None:
+    assert lacking(Model(DRIVE)) == {}
+    assert set(lacking(Model(PROTOCOL))) == {"ds402"}
+    silent = replace(PROTOCOL, pins={"mailbox_support": Pin("mailbox_support", "absent", ())})
+    gone = {"ds402", "mailbox", "coe", "sdo", "sdo_information", "emergency"}
+    assert set(lacking(Model(silent))) == gone
+    # what is blamed is shown all the same
+    blamed = result(replace(FAIL, blamed=("ds402.fault_13",)))
+    assert set(reached(blamed, Model(silent))) == {"al", "process_data", "ds402"}
 
 
 # --- annotations ----------------------------------------------------------------------------------

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 from markupsafe import Markup
 
 from ecatspec.conformance.coverage import Shown, coverage
+from ecatspec.conformance.drawings.graph import rule_words, states_place, states_words
 from ecatspec.conformance.drawings.svg import drawing
 from ecatspec.conformance.marks import parts, plural
 from ecatspec.conformance.pages import render
+from ecatspec.conformance.reached import Mark, lacking, reached
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import BLAMING, Conclusion, Outcome, Way
 from ecatspec.conformance.version import version
@@ -18,21 +20,26 @@ from ecatspec.model.compiled import Model
 from ecatspec.model.words import bytes_words, value_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
+    from ecatspec.conformance.reached import Reached
     from ecatspec.conformance.verdict import Finding, Result, TraceLine, Verdict
     from ecatspec.spec.language.ir import Protocol
 
 View: TypeAlias = "dict[str, object]"
 """What the template is given of something."""
 
-EXERCISED: Final = "exercised"
-FAILED: Final = "failed"
-"""The CSS classes of rules."""
-_MACHINES: Final = ("al", "ds402")
+_MARKS: Final = {
+    Mark.EXERCISED: {"kind": "exercised", "sign": "\N{CHECK MARK}"},
+    Mark.BLAMED: {"kind": "blamed", "sign": "\N{BALLOT X}"},
+    Mark.UNREACHED: {"kind": "unreached", "sign": "\N{WHITE CIRCLE}"},
+    Mark.IMPOSSIBLE: {"kind": "impossible", "sign": "\N{EN DASH}"},
+}
+"""What rules are shown by: a CSS class, and a sign for those who see no colours."""
 _SECTIONS: Final = (
     ("overview", "Overview"),
     ("findings", "Findings"),
+    ("whole", "Whole run"),
     ("machines", "State machines"),
     ("clauses", "Clauses"),
     ("choices", "Choices"),
@@ -61,6 +68,11 @@ def _run(number: int, result: Result, model: Model) -> View:
     protocol = model.protocol
     kind, judgement = _judgement(result)
     run = f"run-{number}"
+    known = reached(result, model)
+    findings = [
+        _finding(f"{run}-finding-{place}", finding, result, model)
+        for place, finding in enumerate(result.findings(), 1)
+    ]
     return {
         "id": run,
         "device": result.device,
@@ -71,11 +83,11 @@ def _run(number: int, result: Result, model: Model) -> View:
         "guarantees": result.guarantees,
         "unjudged": [f"{plural(n, 'case')} {o}: {why}" for o, why, n in result.unjudged()],
         "notes": result.notes,
-        "findings": [
-            _finding(f"{run}-finding-{place}", finding, result, model)
-            for place, finding in enumerate(result.findings(), 1)
-        ],
-        "machines": list(_machines(result, protocol)),
+        "findings": findings,
+        "outcomes": list(dict.fromkeys(finding["outcome"] for finding in findings)),
+        "whole": list(_whole(known, result, protocol)),
+        "lacking": [f"{name}: {why}" for name, why in lacking(model).items() if name not in known],
+        "machines": list(_machines(known, protocol)),
         "kinds": [shown.value for shown in Shown],
         "clauses": list(_clauses(result, protocol)),
         "choices": list(_choices(result, protocol)),
@@ -213,22 +225,65 @@ def _place(offset: int, width: int) -> str:
 # --- what was covered -----------------------------------------------------------------------------
 
 
-def _machines(result: Result, protocol: Protocol) -> Iterator[View]:
-    blamed = {
-        rule for verdict in result.verdicts if verdict.outcome in BLAMING for rule in verdict.blamed
-    }
-    for name in _MACHINES:
-        if name not in protocol.machines:
-            continue
-        rules = [rule.name for rule in protocol.machines[name].rules]
-        failed = [rule for rule in rules if f"{name}.{rule}" in blamed]
-        gone = [rule for rule in rules if f"{name}.{rule}" in result.rules_covered]
-        marked = dict.fromkeys(gone, EXERCISED) | dict.fromkeys(failed, FAILED)
+def _whole(
+    known: Mapping[str, Sequence[Reached]], result: Result, protocol: Protocol
+) -> Iterator[View]:
+    for name, rules in known.items():
+        machine = protocol.machines[name]
+        by_states: dict[tuple[str, ...], list[Reached]] = {}
+        for each in rules:
+            by_states.setdefault(each.rule.sources, []).append(each)
+        order = sorted(by_states, key=lambda states: states_place(machine, states))
         yield {
             "name": name,
-            "said": f"{len(gone)} of {plural(len(rules), 'rule')} exercised, {len(failed)} blamed.",
+            "wording": machine.wording,
+            "total": len(rules),
+            "counts": [
+                {**_MARKS[mark], "mark": mark.value, "count": sum(r.mark is mark for r in rules)}
+                for mark in Mark
+            ],
+            "rows": [
+                {
+                    "states": states_words(machine, states),
+                    "missed": ", ".join(s for s in states if s in _missed(result, name)),
+                    "groups": list(_groups(by_states[states])),
+                }
+                for states in order
+            ],
+        }
+
+
+def _missed(result: Result, machine: str) -> tuple[str, ...]:
+    return result.unreached if machine == "al" else ()
+
+
+def _groups(rules: Sequence[Reached]) -> Iterator[View]:
+    """Give rules that share their mark and the reason for it."""
+    groups: dict[tuple[Mark, str], list[Reached]] = {}
+    for each in rules:
+        groups.setdefault((each.mark, each.why), []).append(each)
+    order = list(Mark)
+    for (mark, why), found in sorted(groups.items(), key=lambda item: order.index(item[0][0])):
+        shown = [{"name": each.rule.name, "tip": rule_words(each.rule)} for each in found]
+        yield {**_MARKS[mark], "mark": mark.value, "why": why, "rules": shown}
+
+
+def _machines(known: Mapping[str, Sequence[Reached]], protocol: Protocol) -> Iterator[View]:
+    for name, rules in known.items():
+        if len(protocol.machines[name].states) == 1:
+            continue  # its picture would be one box
+        marked = {
+            r.rule.name: r.mark.value for r in rules if r.mark in {Mark.EXERCISED, Mark.BLAMED}
+        }
+        gone, failed = (
+            sum(mark == wanted for mark in marked.values())
+            for wanted in (Mark.EXERCISED, Mark.BLAMED)
+        )
+        yield {
+            "name": name,
+            "said": f"{gone} of {plural(len(rules), 'rule')} exercised, {failed} blamed.",
             # the drawing escapes the words of the texts
-            "drawing": Markup(drawing(protocol, name, marked)),  # noqa: S704
+            "drawing": Markup(drawing(protocol, name, marked, brief=True)),  # noqa: S704
         }
 
 

@@ -81,7 +81,10 @@ class RecordingOracle(Oracle):
         self,
         choices: dict[str, str] | None = None,
         objects: Mapping[ObjectKey, bytes] | None = None,
+        *,
+        cold: bool = True,
     ) -> None:
+        assert cold, "the devices of the benchmark are power cycled"
         self.calls.append(("power_on", (choices, objects)))
         super().power_on(choices, objects)
 

@@ -96,12 +96,18 @@ class Resumed(Session):
     _inside: bool = False
     """A stimulus is made of others."""
 
-    def begin(self, choices: dict[str, str], objects: Mapping[ObjectKey, bytes] = NOTHING) -> None:
+    def begin(
+        self,
+        choices: dict[str, str],
+        objects: Mapping[ObjectKey, bytes] = NOTHING,
+        *,
+        cold: bool = True,
+    ) -> None:
         """Power cycle the device, or take it for what it was then."""
-        known = (tuple(sorted(choices.items())), tuple(sorted(objects.items())))
+        known = (tuple(sorted(choices.items())), tuple(sorted(objects.items())), cold)
         path = self._paths.pop(known, None)
         if path is None:
-            Session.begin(self, choices, objects)
+            Session.begin(self, choices, objects, cold=cold)
             path = [self._point(None)]
             if len(self._paths) == _PATHS:
                 del self._paths[next(iter(self._paths))]

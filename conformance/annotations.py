@@ -8,8 +8,9 @@ from ecatspec.conformance.marks import plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from typing import TypeAlias
 
-    Kind = Literal["error", "warning", "notice"]
+    Kind: TypeAlias = Literal["error", "warning", "notice"]
 
 
 def annotation(

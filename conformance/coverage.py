@@ -23,6 +23,8 @@ class Shown(StrEnum):
 
     FAILED = "failed"
     WARNED = "warned"
+    KNOWN = "known"
+    """All that was found against it is accepted."""
     HELD = "held"
     UNTESTED = "not tested"
     UNOBSERVABLE = "not observable"
@@ -50,7 +52,8 @@ class Covered:
         if self.blaming:
             return Shown.FAILED
         if self.findings and self.clause.level in {Level.MUST, Level.SHOULD}:
-            return Shown.WARNED
+            known = all(f.verdict.outcome is Outcome.KNOWN for _, f in self.findings)
+            return Shown.KNOWN if known else Shown.WARNED
         if self.passed:
             return Shown.HELD
         if self.clause.level is Level.UNOBSERVABLE:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from ecatspec.conformance.verdict import Verdict
+
 
 def plain(text: str) -> str:
     """Give the text on one line, without signs that a terminal would obey."""
@@ -18,6 +20,11 @@ def plain(text: str) -> str:
 def plural(count: int, word: str) -> str:
     """Say how many there are."""
     return f"{count} {word}" if count == 1 else f"{count} {word}s"
+
+
+def needs(verdict: Verdict) -> str:
+    """Say on which ways of the device a finding depends."""
+    return f"it is a finding because the device goes this way: {', '.join(verdict.depends)}"
 
 
 def headline(observed: str, differing: Sequence[str], wording: str) -> str:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.annotations import annotation
-from ecatspec.conformance.marks import plural
+from ecatspec.conformance.marks import needs, plural
 from ecatspec.conformance.verdict import BLAMING, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from ecatspec.conformance.annotations import Kind
     from ecatspec.conformance.verdict import Finding, Result
     from ecatspec.spec.language.ir import Protocol
 
@@ -40,7 +41,12 @@ def _line(result: Result, finding: Finding) -> str:
     said += [f"expected: {words}" for words in verdict.expected[:3]]
     if verdict.observed:
         said.append(f"observed: {verdict.observed}")
+    if verdict.depends:
+        said.append(needs(verdict))
     if result.set_up is not None:
         said.append(result.set_up.command(verdict))
     title = f"{verdict.outcome.value}: {verdict.title}"
-    return annotation("error" if bad else "warning", *said, title=title)
+    kind: Kind = "error" if bad else "warning"
+    if verdict.outcome is Outcome.KNOWN:
+        kind = "notice"
+    return annotation(kind, *said, title=title)

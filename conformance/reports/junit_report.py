@@ -11,7 +11,7 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.conformance.coverage import Covered, Shown, coverage
-from ecatspec.conformance.marks import plain, plural
+from ecatspec.conformance.marks import needs, plain, plural
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.conformance.version import version
@@ -114,6 +114,9 @@ def _clause(suite: ET.Element, classname: str, covered: Covered, result: Result)
         case Shown.WARNED:
             first = (finding for _, finding in covered.findings[:_SHOWN])
             _output(case, [line for finding in first for line in _lines(finding, result)])
+        case Shown.KNOWN:
+            reason = covered.findings[0][1].verdict.reason
+            ET.SubElement(case, "skipped", {"message": _clean(reason)})
         case Shown.HELD:
             pass
         case Shown.UNTESTED | Shown.UNOBSERVABLE:
@@ -144,6 +147,8 @@ def _lines(finding: Finding, result: Result) -> Iterable[str]:
         yield f"differing: {', '.join(verdict.differing)}"
     if verdict.reason:
         yield f"reason: {verdict.reason}"
+    if verdict.depends:
+        yield f"depends: {needs(verdict)}"
     yield from (f"{line.time} us {line.who} {line.what}" for line in verdict.trace[-_LINES:])
     if finding.also:
         yield f"also in {plural(len(finding.also), 'other case')}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.marks import parts, plain, plural
+from ecatspec.conformance.marks import needs, parts, plain, plural
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
 from ecatspec.generators.families import NOTES
@@ -135,8 +135,10 @@ def _finding(head: str, finding: Finding, protocol: Protocol, again: str) -> Ite
     yield from _labelled("reason", [verdict.reason] if verdict.reason else [])
     flag = f"{verdict.flag}: {NOTES[verdict.flag]}" if verdict.flag else ""
     yield from _labelled("flag", [flag] if flag else [])
+    yield from _labelled("depends", [needs(verdict)] if verdict.depends else [])
     yield from _labelled("at", [verdict.at] if verdict.at else [])
     yield from _labelled("case", [verdict.case])
+    yield from _labelled("identity", [verdict.signature] if verdict.signature else [])
     if verdict.trace:
         yield from _chart(verdict)
     if finding.also:

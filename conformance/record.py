@@ -16,7 +16,7 @@ from ecatspec.conformance.devices import UserError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from ecatspec.conformance.results import Basis, Journal
+    from ecatspec.conformance.results import Basis, Journal, Run
     from ecatspec.conformance.verdict import Outcome, Verdict
     from ecatspec.spec.language.ir import Protocol
 
@@ -82,14 +82,20 @@ def record_of(subject: str, verdicts: Iterable[Verdict]) -> Record:
 
 
 def load(protocol: Protocol) -> Record | None:
-    """Give the record of the last run by exactly these texts, None where there is none."""
+    """Give the record of the last run by exactly these texts, None where there is none.
+
+    One that is not finished, be it that it goes on at this moment, counts where no other is there.
+    """
+    found: Run | None = None
     for path in files(protocol.name):
         with suppress(UserError):
             run = results.read(path)
             # one of some layers says nothing about what a run exercises
             if run.basis.digest == protocol.digest and not run.basis.only:
-                return record_of(str(run.basis.description["name"]), run.verdicts)
-    return None
+                found = run if run.finished else found or run
+                if run.finished:
+                    break
+    return found and record_of(str(found.basis.description["name"]), found.verdicts)
 
 
 def named(name: str) -> Path:

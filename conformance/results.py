@@ -1,7 +1,9 @@
 """The only place for results files: a run with each verdict, on disk as soon as it is given.
 
 A results file is an SQLite database. What was judged is handed to the operating system at once, so
-that no death of this process loses it, and forced onto the disk a moment later.
+that no death of this process loses it, and forced onto the disk a moment later. Others can read the
+file meanwhile, and only one process writes it: SQLite's own locks see to both, and they end with the
+process that holds them.
 """
 
 from __future__ import annotations
@@ -45,6 +47,8 @@ _BASIS: Final = "basis"
 _FINISHED: Final = "finished"
 _FORCED: Final = 0.2
 """Seconds after which, at the latest, what is judged is forced onto the disk."""
+_PATIENCE: Final = 1.0
+"""Seconds to wait for who opens, closes or reads the file at this moment."""
 _NO_OPTIONS: Final = {
     "digest": "is of other texts",
     "description": "is of a device that its adapter describes otherwise",
@@ -85,7 +89,7 @@ class Journal:
     """The results file of a run that goes on; `seconds` is how long it took until it was opened."""
 
     def __init__(self, path: Path, base: sqlite3.Connection) -> None:
-        """Take a database that this process alone has open."""
+        """Take a database that nobody else writes."""
         self._path = path
         self._base = base
         self._names: dict[int, str] = dict(base.execute("SELECT number, name FROM rule"))
@@ -170,9 +174,7 @@ class Journal:
         trace: TracebackType | None,
     ) -> None:
         """Leave one file, without a companion that holds a part of it."""
-        with suppress(sqlite3.Error):
-            self._base.execute("PRAGMA journal_mode = DELETE")
-        self._base.close()
+        _end(self._base)
 
 
 # --- beginnings -----------------------------------------------------------------------------------
@@ -197,13 +199,45 @@ def begin(path: Path, basis: Basis, *, resume: bool = False) -> Journal:
         raise UserError(f"there is no run in {path} to resume; leave out --resume")
     base = _opened(path)
     try:
-        _refuse_others(path, _basis_of(path, base), basis)
         with _writing(path):
-            base.execute("PRAGMA journal_mode = WAL")
-        return Journal(path, base)
+            _own(base)
     except BaseException:
         base.close()
         raise
+    try:
+        _refuse_others(path, _basis_of(path, base), basis)
+        return Journal(path, base)
+    except BaseException:
+        _end(base)
+        raise
+
+
+def _own(base: sqlite3.Connection) -> None:
+    """Become the only one who writes, until the database is closed or the process ends."""
+    base.execute("PRAGMA journal_mode = WAL")
+    base.execute("SELECT 1 FROM run").fetchone()  # from here on what is locked is shared with readers
+    _exclude(base)
+    # the end of the transaction leaves a lock that others may read beside, and not exclude
+    base.execute("PRAGMA locking_mode = NORMAL")
+    base.execute("COMMIT")
+
+
+def _exclude(base: sqlite3.Connection) -> None:
+    """Begin what nobody may see: it takes that nobody else has the database open."""
+    base.execute("PRAGMA locking_mode = EXCLUSIVE")
+    base.execute("BEGIN IMMEDIATE")
+
+
+def _end(base: sqlite3.Connection) -> None:
+    """Close a database that was written, as one file without a companion that holds a part of it.
+
+    Somebody who reads it for long takes the companions away when closing it.
+    """
+    with suppress(sqlite3.Error):
+        _exclude(base)
+        base.execute("COMMIT")
+        base.execute("PRAGMA journal_mode = DELETE")
+    base.close()
 
 
 def _create(path: Path, basis: Basis) -> None:
@@ -223,7 +257,7 @@ def _create(path: Path, basis: Basis) -> None:
 
 
 def _refuse_unfinished(path: Path) -> None:
-    base = _opened(path)
+    base = _opened(path, alone=True)
     try:
         _basis_of(path, base)
         finished = _is_finished(base)
@@ -246,18 +280,19 @@ def _refuse_others(path: Path, known: Basis, wanted: Basis) -> None:
 
 
 def read(path: Path) -> Run:
-    """Give the run of a file.
+    """Give the run of a file as far as it goes; a run may write it meanwhile.
 
     Raises:
-        UserError: It is no results file, is damaged, or is being written.
+        UserError: It is no results file, or is damaged.
 
     """
     if not path.is_file():
         raise UserError(f"there is no file {str(path)!a}; give a results file")
     base = _opened(path)
     try:
-        basis = _basis_of(path, base)
         with _reading(path):
+            base.execute("BEGIN")  # all that follows is of one moment
+            basis = _basis_of(path, base)
             names = dict(base.execute("SELECT number, name FROM rule"))
             rows = base.execute("SELECT verdict, rules FROM step ORDER BY number")
             verdicts = tuple(_verdict(names, *row) for row in rows)
@@ -271,13 +306,14 @@ def _verdict(names: dict[int, str], verdict: str, rules: str) -> Verdict:
     return replace(msgspec.json.decode(verdict, type=Verdict), rules=own)
 
 
-def _opened(path: Path) -> sqlite3.Connection:
-    """Open a database and see that it is whole and ours."""
+def _opened(path: Path, *, alone: bool = False) -> sqlite3.Connection:
+    """Open a database and see that it is whole and ours; `alone`: and that nobody writes it."""
     with _reading(path):
         name = f"{path.absolute().as_uri()}?mode=rw"  # one that was killed left more to be taken in
-        base = sqlite3.connect(name, timeout=0, isolation_level=None, uri=True)
+        base = sqlite3.connect(name, timeout=_PATIENCE, isolation_level=None, uri=True)
         try:
-            base.execute("PRAGMA locking_mode = EXCLUSIVE")
+            if alone:
+                base.execute("PRAGMA locking_mode = EXCLUSIVE")
             _check(path, base)
         except BaseException:
             base.close()
@@ -320,8 +356,7 @@ def _reading(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, msgspec.MsgspecError, KeyError, UnicodeError) as error:
-        if _is_busy(error):
-            raise UserError(f"a run is writing {path}; wait for its end") from None
+        _refuse_busy(path, error)
         what = f"{path} is no results file, or a damaged one ({error})"
         raise UserError(f"{what}; give one that a run has written") from None
 
@@ -332,12 +367,12 @@ def _writing(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, OSError) as error:
-        if _is_busy(error):
-            raise UserError(f"a run is writing {path}; give another file") from None
+        _refuse_busy(path, error)
         hint = "make room or give another file"
         raise UserError(f"{path} cannot be written ({error}); {hint}") from None
 
 
-def _is_busy(error: Exception) -> bool:
+def _refuse_busy(path: Path, error: Exception) -> None:
     code = getattr(error, "sqlite_errorcode", None)
-    return code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
+    if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
+        raise UserError(f"a run is writing {path}; wait for its end") from None

@@ -154,29 +154,101 @@ def test_a_new_run_takes_the_place_of_a_finished_one_only(tmp_path: Path) -> Non
     assert other.read_text(encoding="utf-8") == "what I did today"
 
 
-def test_one_run_writes_a_file_at_a_time(tmp_path: Path) -> None:
-    file = tmp_path / "run"
-    with begin(file, BASIS) as journal:
-        journal.keep(JUDGED[0])
-        for use in (read, partial(begin, basis=BASIS, resume=True)):
-            code = f"import sys; sys.path = {sys.path}\n" + _OTHER.format(use=_USES[use is read])
-            done = subprocess.run(
-                [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False
-            )
-            assert done.stdout == f"a run is writing {file}; wait for its end\n", done.stderr
+def elsewhere(file: Path, code: str) -> str:
+    """Give what another process prints that does this with a file."""
+    code = f"import sys; sys.path = {sys.path}\n{_OTHER}    {code}\n{_OTHERWISE}"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=False
+    )
+    assert not done.stderr
+    return done.stdout
 
 
-_USES = {True: "results.read(path)", False: "results.begin(path, None, resume=True)"}
 _OTHER = """
 from pathlib import Path
 from ecatspec.conformance import results
 from ecatspec.conformance.devices import UserError
 path = Path(sys.argv[1])
+results._PATIENCE = 0.1
 try:
-    {use}
+"""
+_OTHERWISE = """
 except UserError as error:
     print(error)
 """
+_READ = "run = results.read(path); print(len(run.verdicts), run.finished)"
+
+
+def test_one_run_writes_a_file_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "run"
+    refused = f"a run is writing {file}; wait for its end"
+    monkeypatch.setattr(results, "_PATIENCE", 0.1)
+    with begin(file, BASIS) as journal:
+        for judged in JUDGED:
+            journal.keep(judged)
+            assert elsewhere(file, "results.begin(path, None, resume=True)") == f"{refused}\n"
+            assert elsewhere(file, "results.begin(path, None)") == f"{refused}\n"
+            for resume in (True, False):
+                with pytest.raises(UserError) as caught:
+                    begin(file, BASIS, resume=resume)
+                assert str(caught.value) == refused
+        assert elsewhere(file, _READ) == "2 False\n"
+        journal.finish()
+        assert elsewhere(file, "results.begin(path, None)") == f"{refused}\n", "it may come to more"
+    assert read(file).verdicts == tuple(judged.verdict for judged in JUDGED)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_run_is_read_while_it_goes_on(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    with begin(file, BASIS) as journal:
+        assert elsewhere(file, _READ) == "0 False\n"
+        for number, judged in enumerate(JUDGED, 1):
+            journal.keep(judged)
+            assert elsewhere(file, _READ) == f"{number} False\n"
+            assert read(file).verdicts == tuple(judged.verdict for judged in JUDGED[:number])
+            assert file.with_name("run-wal").exists(), "who reads takes nothing away"
+        journal.finish()
+        assert elsewhere(file, _READ) == "2 True\n"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_what_is_read_is_of_one_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "run"
+    with begin(file, BASIS) as journal:
+        journal.keep(JUDGED[0])
+
+        def meanwhile(path: Path, base: sqlite3.Connection) -> Basis:
+            basis = basis_of(path, base)
+            journal.keep(JUDGED[1])
+            journal.finish()
+            return basis
+
+        basis_of = results._basis_of  # noqa: SLF001
+        monkeypatch.setattr(results, "_basis_of", meanwhile)
+        run = read(file)
+        monkeypatch.undo()
+        assert (run.verdicts, run.finished) == ((JUDGED[0].verdict,), False)
+        assert (len(read(file).verdicts), read(file).finished) == (2, True)
+
+
+def test_who_reads_for_long_takes_the_companions_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "run"
+    monkeypatch.setattr(results, "_PATIENCE", 0.1)
+    with begin(file, BASIS) as journal:
+        journal.keep(JUDGED[0])
+        reader = results._opened(file)  # noqa: SLF001
+        reader.execute("BEGIN")
+        assert reader.execute("SELECT count(*) FROM step").fetchone() == (1,)
+        journal.keep(JUDGED[1])
+        journal.finish()
+    assert reader.execute("SELECT count(*) FROM step").fetchone() == (1,)
+    assert len(read(file).verdicts) == 2
+    reader.close()
+    assert list(tmp_path.iterdir()) == [file]
+    assert read(file).finished
 
 
 @pytest.mark.parametrize("damage", ["text", "empty", "cut", "torn", "other", "newer", "folder"])

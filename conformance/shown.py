@@ -59,6 +59,7 @@ def sheets(protocol: Protocol) -> tuple[Sheet, ...]:
         _parameters(protocol),
         _machines(protocol),
         _choices(protocol),
+        _risks(protocol),
         _conditions(protocol),
         _properties(protocol),
         *tables,
@@ -301,6 +302,17 @@ def _choices(protocol: Protocol) -> Sheet:
         rows.append((choice.name, choice.wording, names, way, cited))
     title = "choices (implementation conformance statement)"
     return Sheet("choices", title, ("choice", "meaning", "ways", "pinned", "clauses"), tuple(rows))
+
+
+def _risks(protocol: Protocol) -> Sheet:
+    rows = tuple(
+        (choice.name, way.name, way.risk.wording, way.risk.clauses)
+        for choice in protocol.choices.values()
+        for way in choice.alternatives
+        if way.risk is not None
+    )
+    title = "ways that are allowed and risky"
+    return Sheet("risky", title, ("choice", "way", "why", "clauses"), rows)
 
 
 def _conditions(protocol: Protocol) -> Sheet:

@@ -52,6 +52,7 @@ _DATA: Final = frozenset(
         "parameter",
         "condition",
         "choice",
+        "alternative",
         "dictionary",
         "esi",
     }

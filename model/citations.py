@@ -47,6 +47,10 @@ def citations(protocol: Protocol) -> Iterator[Citation]:
     for table in protocol.tables.values():
         for row in table.rows:
             yield Citation("row", f"{table.name}.{row.name}", row.clauses, row.at)
+    for choice in protocol.choices.values():
+        for way in choice.alternatives:
+            if way.risk is not None:
+                yield Citation("alternative", f"{choice.name}.{way.name}", way.risk.clauses, way.at)
     for kind, declared in (
         ("parameter", protocol.parameters),
         ("frame", protocol.frames),

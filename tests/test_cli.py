@@ -367,6 +367,8 @@ def test_show_has_everything_of_a_device(
     assert set(protocol.tables) <= words
     assert set(protocol.choices) <= words
     assert {pin.alternative for pin in protocol.pins.values()} <= words
+    ways = [way for choice in protocol.choices.values() for way in choice.alternatives]
+    assert all(f"  {way.name} " in out and way.risk.wording in out for way in ways if way.risk)
     assert {anomaly.id for anomaly in protocol.anomalies} <= words
     assert {entry.name for entry in protocol.objects} <= words
     assert {example.name for example in protocol.examples} <= words

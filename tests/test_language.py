@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ecatspec.model.citations import citations
 from ecatspec.spec.language import overlap
 from ecatspec.spec.language.check import check_protocol, check_words
 from ecatspec.spec.language.check_texts import check_texts, unused
@@ -66,6 +67,7 @@ from ecatspec.spec.language.ir import (
     Remove,
     Replace,
     ReplaceField,
+    Risk,
     Rule,
     Send,
     SetParameter,
@@ -296,6 +298,47 @@ def test_guards_that_say_the_opposite_need_no_search(
     plain = len(searched)
     compile_texts([BASE, parse_text(rules(*guards), "text")])
     assert len(searched) == 2 * plain
+
+
+# --- risky ways ----------------------------------------------------------------------------------
+
+
+def test_a_risky_way_has_a_reason_and_its_clause() -> None:
+    source = (
+        'standard mine "x" clause M-01 must "a" source "b"'
+        ' choice pace "how fast" [BASE-01] | slow "late" | fast "early" risky "too early" [M-01]'
+    )
+    text = parse_text(source, "text")
+    protocol = compile_texts([BASE, text])
+    slow, fast = protocol.choices["pace"].alternatives
+    assert (slow.risk, fast.risk) == (None, Risk("too early", ("M-01",)))
+    assert protocol.risks({"pace": "fast", "refused_in_op": "stay"}) == {"pace": "too early"}
+    assert protocol.risks({"pace": "slow"}) == {}
+    assert '| fast  "early"  risky "too early" [M-01]' in pretty(text)
+    assert parse_text(pretty(text), "text") == text
+    (cited,) = (each for each in citations(protocol) if each.clauses == ("M-01",))
+    assert (cited.kind, cited.name) == ("alternative", "pace.fast")
+    error = compiled(source.replace('"too early" [M-01]', '"too early" [M-02]'))
+    assert codes(error) == ["ECS104"]
+    assert "M-02, which alternative `fast` cites" in str(error)
+    with pytest.raises(SpecError) as caught:
+        parse_text(source.replace('"too early" [M-01]', '"too early"'), "text")
+    assert codes(caught.value) == ["ECS002"]
+
+
+def test_the_standard_marks_what_the_facts_discourage() -> None:
+    risky = {
+        (choice.name, way.name): way.risk.clauses
+        for choice in load_standard().choices.values()
+        for way in choice.alternatives
+        if way.risk is not None
+    }
+    assert risky == {
+        ("emulation", "copied"): ("AL-28",),
+        ("return_from_quick_stop", "served"): ("DRV-19",),
+        ("reply_counter", "zero"): ("MBX-06", "MBX-20"),
+        ("repeat_service", "absent"): ("MBX-04", "MBX-20"),
+    }
 
 
 # --- the shipped texts ---------------------------------------------------------------------------

@@ -119,6 +119,47 @@ def test_the_summary_comes_first() -> None:
     ]
 
 
+def risky(*pinned: str) -> tuple[Result, Protocol]:
+    """A result with risky ways, some of which are from the text."""
+    ways = {**ALL.choices, "repeat_service": "absent", "reply_counter": "zero"}
+    pins = {name: Pin(name, ways[name], ()) for name in pinned}
+    return replace(ALL, choices=ways), replace(PROTOCOL, pins=pins)
+
+
+def test_risky_ways_that_were_found_come_first() -> None:
+    found, protocol = risky()
+    lines = REPORTS["text"]((found,), protocol).splitlines()
+    assert lines[6:13] == [
+        "  choices   repeat_service = absent (found) RISKY: a MainDevice cannot get a",
+        "            lost reply: its request, sent again, is dropped as a duplicate",
+        "            reply_counter = zero (found) RISKY: a MainDevice cannot tell a",
+        "            repeated message from a new one",
+        "            bootstrap = supported (found)",
+        "            refused_in_op = stay (found)",
+        "  time      1.3 s",
+    ]
+    (data,) = json.loads(REPORTS["json"]((found,), protocol))["results"]
+    assert data["risky"] == protocol.risks(found.choices)
+    assert list(data["risky"]) == ["repeat_service", "reply_counter"]
+    assert data["choices"] == found.choices
+    page = REPORTS["html"]((found,), protocol)
+    assert page.count('<span class="badge warning">risky</span>') == 2
+    first, _, rest = page.partition("Table of choices")[2].partition("repeat_service")
+    assert 'scope="row"' in first
+    assert first.count("</tr>") == 1, "only the head stands before it"
+    assert '<span class="badge warning">risky</span> a MainDevice cannot get' in rest
+
+
+def test_a_risky_way_that_the_text_states_is_known() -> None:
+    found, protocol = risky("repeat_service")
+    report = REPORTS["text"]((found,), protocol)
+    assert "repeat_service = absent (from the text)\n" in report
+    assert report.count("RISKY") == 1
+    (data,) = json.loads(REPORTS["json"]((found,), protocol))["results"]
+    assert list(data["risky"]) == ["reply_counter"]
+    assert REPORTS["html"]((found,), protocol).count(">risky<") == 1
+
+
 def test_the_suites_of_a_run_stand_in_the_summary() -> None:
     promises = ("AL, 30 states: checked: exact; passed", "DS402: promises nothing: 1 fail")
     promised = replace(ALL, guarantees=promises)

@@ -29,6 +29,12 @@ def judged(result: Result) -> bool:
     return any(verdict.outcome in _JUDGED for verdict in result.verdicts)
 
 
+def risks(result: Result, protocol: Protocol) -> dict[str, str]:
+    """Give why ways that were found are risky, by choice; a way that the text states is known."""
+    found = {name: way for name, way in result.choices.items() if name not in protocol.pins}
+    return protocol.risks(found)
+
+
 def _make(module: str, results: Sequence[Result], protocol: Protocol) -> str:
     report = cast("Report", importlib.import_module(f"{__name__}.{module}").report)
     return report(results, protocol)

@@ -12,7 +12,7 @@ from ecatspec.conformance.drawings.svg import drawing
 from ecatspec.conformance.marks import needs, parts, plural
 from ecatspec.conformance.pages import render
 from ecatspec.conformance.reached import Mark, lacking, reached
-from ecatspec.conformance.reports import judged
+from ecatspec.conformance.reports import judged, risks
 from ecatspec.conformance.verdict import BLAMING, Conclusion, Outcome, Way
 from ecatspec.conformance.version import version
 from ecatspec.generators.families import NOTES
@@ -304,7 +304,10 @@ def _clauses(result: Result, protocol: Protocol) -> Iterator[View]:
 
 
 def _choices(result: Result, protocol: Protocol) -> Iterator[View]:
-    for name, choice in sorted(protocol.choices.items()):
+    why = risks(result, protocol)
+    for name, choice in sorted(
+        protocol.choices.items(), key=lambda item: (item[0] not in why, item[0])
+    ):
         ways = {each.name: each.wording for each in choice.alternatives}
         pin = protocol.pins.get(name)
         way = result.choices.get(name, "")
@@ -315,6 +318,7 @@ def _choices(result: Result, protocol: Protocol) -> Iterator[View]:
             "way": way,
             "means": ways.get(way, ""),
             "origin": origin,
+            "risk": why.get(name, ""),
         }
 
 

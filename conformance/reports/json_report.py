@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from ecatspec.conformance.reports import judged
+from ecatspec.conformance.reports import judged, risks
 from ecatspec.conformance.verdict import Conclusion, Outcome
 from ecatspec.spec.language.ir import Level  # noqa: TC001  msgspec reads the annotations
 
@@ -128,6 +128,8 @@ class ResultPart(_Part, frozen=True):
     rules: Covered
     clauses: Covered
     choices: dict[str, str]
+    risky: dict[str, str]
+    """Why ways in `choices` that were found are risky, by choice."""
     findings: list[FindingPart]
     verdicts: list[Brief]
     notes: list[str]
@@ -180,6 +182,7 @@ def _result(result: Result, protocol: Protocol) -> ResultPart:
         Covered(sorted(result.rules_covered), result.rules_total),
         Covered(sorted(result.clauses_covered), result.clauses_total),
         dict(result.choices),
+        risks(result, protocol),
         [_finding(finding, result, protocol) for finding in result.findings()],
         [Brief(*_brief(verdict)) for verdict in ordered],
         list(result.notes),

@@ -6,7 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.marks import needs, parts, plain, plural
-from ecatspec.conformance.reports import judged
+from ecatspec.conformance.reports import judged, risks
 from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
 from ecatspec.generators.families import NOTES
 from ecatspec.model.words import bytes_words
@@ -88,18 +88,18 @@ def _summary(result: Result, protocol: Protocol) -> Iterable[str]:
     yield from _labelled("rules", [f"{len(result.rules_covered)} of {result.rules_total} covered"])
     clauses = f"{len(result.clauses_covered)} of {result.clauses_total} covered"
     yield from _labelled("clauses", [clauses])
-    yield from _labelled("choices", [_choice(*item, protocol) for item in _found(result)])
+    yield from _labelled("choices", [*_choices(result, protocol)])
     yield from _labelled("suites", result.guarantees)
     yield from _labelled("time", [f"{result.seconds:.1f} s"])
 
 
-def _found(result: Result) -> list[tuple[str, str]]:
-    return sorted(result.choices.items())
-
-
-def _choice(name: str, way: str, protocol: Protocol) -> str:
-    origin = "from the text" if name in protocol.pins else "found"
-    return f"{name} = {way} ({origin})"
+def _choices(result: Result, protocol: Protocol) -> Iterable[str]:
+    """Give the ways of the device, those first that were found and are risky."""
+    why = risks(result, protocol)
+    for name, way in sorted(result.choices.items(), key=lambda item: (item[0] not in why, item)):
+        origin = "from the text" if name in protocol.pins else "found"
+        risk = f" RISKY: {why[name]}" if name in why else ""
+        yield f"{name} = {way} ({origin}){risk}"
 
 
 def explained(finding: Finding, protocol: Protocol, command: str) -> str:

@@ -224,7 +224,7 @@ def _twice_inside(declaration: Declaration) -> Iterator[Diagnostic]:
                 if not field.name.startswith(LAYOUT_WORDS)
             ]
         case Choice():
-            named += [("alternative", a.name, declaration.at) for a in declaration.alternatives]
+            named += [("alternative", a.name, a.at) for a in declaration.alternatives]
         case Machine() | Extend():
             named += [("variable", v.name, v.at) for v in declaration.variables]
             named += [("input", item.name, item.at) for item in declaration.inputs]
@@ -321,6 +321,11 @@ def _citations(declaration: Declaration) -> Iterator[tuple[str, tuple[str, ...],
             yield f"frame {declaration.name}", declaration.clauses, declaration.at
             for part in declaration.fields:
                 yield f"field `{part.name}`", part.clauses, part.at
+        case Choice():
+            yield f"choice {declaration.name}", declaration.clauses, declaration.at
+            for way in declaration.alternatives:
+                if way.risk is not None:
+                    yield f"alternative `{way.name}`", way.risk.clauses, way.at
         case Fault():
             yield f"fault {declaration.name}", declaration.clauses, declaration.at
             for change in declaration.changes:

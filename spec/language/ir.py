@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -397,11 +400,21 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True)
+class Risk:
+    """Why a way that is allowed is discouraged, or what a MainDevice risks with it."""
+
+    wording: str
+    clauses: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Alternative:
     """One way to go at a choice."""
 
     name: str
     wording: str
+    risk: Risk | None = None
+    at: Span = field(default=NOWHERE, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -852,3 +865,12 @@ class Protocol:
     examples: tuple[Example, ...]
     replaced: tuple[Replace | Remove | Extend | ReplaceField, ...]
     digest: str
+
+    def risks(self, ways: Mapping[str, str]) -> dict[str, str]:
+        """Give why ways are risky, by choice; those that are not are left out."""
+        return {
+            choice.name: way.risk.wording
+            for choice in self.choices.values()
+            for way in choice.alternatives
+            if way.risk is not None and ways.get(choice.name) == way.name
+        }

@@ -66,6 +66,7 @@ from ecatspec.spec.language.ir import (
     Remove,
     Replace,
     ReplaceField,
+    Risk,
     Rule,
     Send,
     SetParameter,
@@ -612,9 +613,17 @@ class _Builder:
     def _choice(self, tree: Tree[Token]) -> Choice:
         children, at = self._open(tree)
         name, wording, clauses = children.word(), children.string(), self._ids(children.tree())
-        rows = [self._open(row)[0] for row in children.trees()]
-        alternatives = tuple(Alternative(row.word(), row.string()) for row in rows)
+        alternatives = tuple(map(self._alternative, children.trees()))
         return Choice(name, wording, alternatives, clauses, at)
+
+    def _alternative(self, tree: Tree[Token]) -> Alternative:
+        children, at = self._open(tree)
+        name, wording, risk = children.word(), children.string(), children.given("risk")
+        return Alternative(name, wording, None if risk is None else self._risk(risk), at)
+
+    def _risk(self, tree: Tree[Token]) -> Risk:
+        children, _ = self._open(tree)
+        return Risk(children.string(), self._ids(children.tree()))
 
     def _condition(self, tree: Tree[Token]) -> Condition:
         children, at = self._open(tree)

@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.ir import (
+    Alternative,
     Anomaly,
     AnyValue,
     Area,
@@ -371,8 +372,8 @@ def _block(member: Declaration) -> list[str]:
         case Machine():
             return _machine(member)
         case Choice(name, wording, alternatives, clauses):
-            ways = _columns([(f"| {way.name}", f'"{way.wording}"') for way in alternatives], "  ")
-            return [f'choice {name} "{wording}" {_ids(clauses)}', *ways]
+            ways = [(f"| {way.name}", f'"{way.wording}"', _risk(way)) for way in alternatives]
+            return [f'choice {name} "{wording}" {_ids(clauses)}', *_columns(ways, "  ")]
         case Condition(name, wording, assumed, clauses):
             word = "true" if assumed else "false"
             return [f'condition {name} "{wording}" assumed {word} {_ids(clauses)}']
@@ -441,6 +442,10 @@ def _table(table: CodeTable) -> list[str]:
     ]
     word = "closed" if table.closed else "open"
     return [f"table {table.name} u{table.width} {word}", *_columns(rows, "  ")]
+
+
+def _risk(way: Alternative) -> str:
+    return "" if way.risk is None else f'risky "{way.risk.wording}" {_ids(way.risk.clauses)}'
 
 
 def _register(register: Register) -> list[str]:

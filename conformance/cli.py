@@ -291,9 +291,9 @@ def adapters(*, as_json: bool, include: bool) -> int:
 def compare(*, first: str, second: str, as_json: bool) -> int:
     """Tell what became better or worse from RUN1 to RUN2.
 
-    It goes by case, finding and clause. Both are results files (`run --results FILE`), or `last`
-    and `previous`: the newest run of this user, and the one before of the same device. Exit
-    status: 0 nothing is worse, 1 something is.
+    It goes by case, finding, clause and choice. Both are results files (`run --results FILE`), or
+    `last` and `previous`: the newest run of this user, and the one before of the same device. A run
+    that goes on counts as far as it is. Exit status: 0 nothing is worse, 1 something is.
     """
     from ecatspec.conformance import compare as comparing
     from ecatspec.conformance import record, results

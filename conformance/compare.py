@@ -1,8 +1,8 @@
-"""The only place for comparing two runs: what became better or worse, by case, cause and clause."""
+"""The only place for comparing two runs: what is better, worse, or only other."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.sheets import Sheet
@@ -11,7 +11,7 @@ from ecatspec.conformance.verdict import Outcome
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ecatspec.conformance.results import Basis, Run
+    from ecatspec.conformance.results import Basis, FoundWay, Run
     from ecatspec.conformance.verdict import Verdict
 
 _WORST_FIRST: Final = (
@@ -69,6 +69,27 @@ class Blamed:
 
 
 @dataclass(frozen=True, slots=True)
+class Turn:
+    """A choice at which both runs found a way, and not the same."""
+
+    choice: str
+    before: FoundWay
+    after: FoundWay
+
+    @property
+    def worse(self) -> bool:
+        """Tell whether the way is risky and was not."""
+        return bool(self.after.risk) and not self.before.risk
+
+    @property
+    def standing(self) -> str:
+        """Say what that means: most ways are as good as another."""
+        if self.worse:
+            return "worse"
+        return "better" if self.before.risk and not self.after.risk else "other"
+
+
+@dataclass(frozen=True, slots=True)
 class Comparison:
     """Two runs side by side. What only one of them tried says nothing of better or worse."""
 
@@ -79,12 +100,14 @@ class Comparison:
     changes: tuple[Change, ...]
     findings: tuple[Blamed, ...]
     clauses: tuple[Blamed, ...]
+    choices: tuple[Turn, ...]
 
     @property
     def worse(self) -> bool:
         """Tell whether anything became worse."""
+        changed = any(c.worse for c in self.changes) or any(c.worse for c in self.choices)
         blamed = (*self.findings, *self.clauses)
-        return any(c.worse for c in self.changes) or any(each.worse for each in blamed)
+        return changed or any(each.worse for each in blamed)
 
     def notes(self) -> tuple[str, ...]:
         """Say what keeps the two from being of the same kind."""
@@ -129,7 +152,16 @@ def compare(first: Run, second: Run) -> Comparison:
         tuple(changes),
         _findings(before, after),
         _clauses(before, after),
+        _turns(first, second),
     )
+
+
+def _turns(first: Run, second: Run) -> tuple[Turn, ...]:
+    """Give the choices that changed, what is worse first. What only one run found says nothing."""
+    both = sorted(first.choices.keys() & second.choices.keys())
+    turns = [Turn(name, first.choices[name], second.choices[name]) for name in both]
+    changed = [turn for turn in turns if turn.before.way != turn.after.way]
+    return tuple(sorted(changed, key=lambda turn: not turn.worse))
 
 
 def _by_case(run: Run) -> dict[str, Verdict]:
@@ -183,6 +215,7 @@ def headline(found: Comparison) -> str:
     new = sum(each.worse for each in found.findings)
     gone = sum(not each.after for each in found.findings)
     counts += f"; {new} findings new, {gone} gone, {len(found.findings) - new - gone} still there"
+    counts += f"; {len(found.choices)} choices changed"
     return f"{found.common} cases in common: {counts}"
 
 
@@ -194,12 +227,22 @@ def sheets(found: Comparison) -> tuple[Sheet, ...]:
     )
     findings = tuple((f.standing, f.after, f.name, f.clauses) for f in found.findings)
     clauses = tuple((c.standing, c.after, c.name) for c in found.clauses)
+    choices = tuple(
+        (c.standing, c.choice, c.before.way, c.after.way, c.before.cases, c.after.cases, _risk(c))
+        for c in found.choices
+    )
+    columns = ("", "choice", "before", "after", "found in", "found now in", "risk")
     every = (
         Sheet("findings", "findings", ("", "cases", "finding", "clauses"), findings),
         Sheet("clauses", "clauses that were violated", ("", "cases", "clause"), clauses),
         Sheet("cases", "cases that end otherwise", ("", "case", "before", "after"), cases),
+        Sheet("choices", "choices of the device that changed", columns, choices),
     )
     return tuple(sheet for sheet in every if sheet.rows)
+
+
+def _risk(turn: Turn) -> str:
+    return turn.after.risk or (f"before: {turn.before.risk}" if turn.before.risk else "")
 
 
 def as_data(found: Comparison) -> dict[str, object]:
@@ -226,6 +269,16 @@ def as_data(found: Comparison) -> dict[str, object]:
         ],
         "findings": [_blamed(each) for each in found.findings],
         "clauses": [_blamed(each) for each in found.clauses],
+        "choices": [
+            {
+                "choice": turn.choice,
+                "standing": turn.standing,
+                "worse": turn.worse,
+                "before": asdict(turn.before),
+                "after": asdict(turn.after),
+            }
+            for turn in found.choices
+        ],
     }
 
 

@@ -95,7 +95,9 @@ def load(protocol: Protocol) -> Record | None:
                 found = run if run.finished else found or run
                 if run.finished:
                     break
-    return found and record_of(str(found.basis.description["name"]), found.verdicts)
+    if found is None:
+        return None
+    return record_of(str(found.basis.description["name"]), found.verdicts)
 
 
 def named(name: str) -> Path:

@@ -2,8 +2,8 @@
 
 A results file is an SQLite database. What was judged is handed to the operating system at once, so
 that no death of this process loses it, and forced onto the disk a moment later. Others can read the
-file meanwhile, and only one process writes it: SQLite's own locks see to both, and they end with the
-process that holds them.
+file meanwhile, and only one process writes it: SQLite's own locks see to both, and they end with
+the process that holds them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ecatspec.conformance.verdict import Verdict
 from ecatspec.conformance.version import version
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from types import TracebackType
     from typing import Self
 
@@ -77,12 +77,22 @@ class Basis:
 
 
 @dataclass(frozen=True, slots=True)
+class FoundWay:
+    """Which way a device goes at a choice, the cases that told it, and why that is risky."""
+
+    way: str
+    cases: tuple[str, ...]
+    risk: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Run:
     """A run as its file has it."""
 
     basis: Basis
     verdicts: tuple[Verdict, ...]
     finished: bool
+    choices: Mapping[str, FoundWay] = field(default_factory=dict)
 
 
 class Journal:
@@ -215,7 +225,9 @@ def begin(path: Path, basis: Basis, *, resume: bool = False) -> Journal:
 def _own(base: sqlite3.Connection) -> None:
     """Become the only one who writes, until the database is closed or the process ends."""
     base.execute("PRAGMA journal_mode = WAL")
-    base.execute("SELECT 1 FROM run").fetchone()  # from here on what is locked is shared with readers
+    base.execute(
+        "SELECT 1 FROM run"
+    ).fetchone()  # from here on what is locked is shared with readers
     _exclude(base)
     # the end of the transaction leaves a lock that others may read beside, and not exclude
     base.execute("PRAGMA locking_mode = NORMAL")
@@ -294,11 +306,23 @@ def read(path: Path) -> Run:
             base.execute("BEGIN")  # all that follows is of one moment
             basis = _basis_of(path, base)
             names = dict(base.execute("SELECT number, name FROM rule"))
-            rows = base.execute("SELECT verdict, rules FROM step ORDER BY number")
-            verdicts = tuple(_verdict(names, *row) for row in rows)
-            return Run(basis, verdicts, _is_finished(base))
+            verdicts = []
+            choices: dict[str, FoundWay] = {}
+            rows = base.execute("SELECT verdict, rules, learned FROM step ORDER BY number")
+            for verdict, rules, learned in rows:
+                verdicts.append(_verdict(names, verdict, rules))
+                _learn(choices, verdicts[-1].case, msgspec.json.decode(learned, type=Learned))
+            return Run(basis, tuple(verdicts), _is_finished(base), choices)
     finally:
         base.close()
+
+
+def _learn(choices: dict[str, FoundWay], case: str, told: Learned) -> None:
+    """Add what a step told; where steps say different things of a choice the last one counts."""
+    for name, way in told.choices.items():
+        known = choices.get(name)
+        cases = known.cases if known is not None and known.way == way else ()
+        choices[name] = FoundWay(way, (*cases, case), told.risks.get(name, ""))
 
 
 def _verdict(names: dict[int, str], verdict: str, rules: str) -> Verdict:

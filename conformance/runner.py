@@ -240,13 +240,15 @@ class Runner:
                 verdict = self._searched(examples, chosen)
             case _:
                 assert_never(step)
+        new = {name: way for name, way in self.choices.items() if name not in before.choices}
         learned = Learned(
-            {name: way for name, way in self.choices.items() if name not in before.choices},
+            new,
             tuple(sorted(self.untold - untold)),
             tuple(reason for reason in self.refusals if reason not in refusals),
             tuple(sorted({*map(str, self.rules), *verdict.rules})),
             believed and not self.believed,
             self.session.moved,
+            self.model.protocol.risks(new),
         )
         self.rules |= rules
         return Judged(step.name, verdict, learned, frozenset(self.met))

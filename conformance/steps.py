@@ -79,6 +79,8 @@ class Learned:
     """What a complete suite believed of the device ended here."""
     moved: bool = False
     """AL Status has changed at some time until then."""
+    risks: dict[str, str] = field(default_factory=dict)
+    """Why ways in `choices` are risky, by choice."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 from short import FAULT, SMALL, shorten
 
-from ecatspec.conformance import cli, record
-from ecatspec.conformance.compare import compare, headline
-from ecatspec.conformance.results import Basis, Run
+from ecatspec.conformance import cli, record, results
+from ecatspec.conformance.compare import as_data, compare, headline, sheets
+from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.results import Basis, FoundWay, Run, begin
+from ecatspec.conformance.steps import Judged, Learned
 from ecatspec.conformance.verdict import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -84,7 +86,8 @@ def test_causes_and_clauses_are_counted() -> None:
         ("B", 1, 0),
     ]
     assert headline(found) == (
-        "5 cases in common: 1 cases worse, 2 better; 1 findings new, 1 gone, 2 still there"
+        "5 cases in common: 1 cases worse, 2 better; 1 findings new, 1 gone, 2 still there; "
+        "0 choices changed"
     )
 
 
@@ -108,6 +111,115 @@ def test_runs_of_two_kinds_are_told_apart() -> None:
         "other only: none and al",
         "the second run is not finished: 1 cases",
     )
+
+
+def going(way: str, case: str, risk: str = "") -> Run:
+    """Give a run that found one choice."""
+    found = {"counter": FoundWay(way, (case,), risk)}
+    return Run(BASIS, run_of(a="pass").verdicts, finished=True, choices=found)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "standing"),
+    [
+        (("counts", ""), ("zero", "no order"), "worse"),
+        (("zero", "no order"), ("counts", ""), "better"),
+        (("counts", ""), ("backwards", ""), "other"),
+        (("zero", "no order"), ("one", "no order either"), "other"),
+    ],
+)
+def test_a_choice_that_changed(
+    before: tuple[str, str], after: tuple[str, str], standing: str
+) -> None:
+    first, second = going(before[0], "one", before[1]), going(after[0], "two", after[1])
+    found = compare(first, second)
+    assert found.worse is (standing == "worse")
+    assert headline(found).endswith("; 1 choices changed")
+    risk = after[1] or f"before: {before[1]}" * bool(before[1])
+    (sheet,) = sheets(found)
+    assert sheet.rows == ((standing, "counter", before[0], after[0], ("one",), ("two",), risk),)
+    assert as_data(found)["choices"] == [
+        {
+            "choice": "counter",
+            "standing": standing,
+            "worse": standing == "worse",
+            "before": {"way": before[0], "cases": ("one",), "risk": before[1]},
+            "after": {"way": after[0], "cases": ("two",), "risk": after[1]},
+        }
+    ]
+
+
+def test_the_choice_that_is_worse_comes_first() -> None:
+    first, second = (
+        Run(BASIS, (), finished=True, choices={n: FoundWay(way, (), risk) for n, risk in each})
+        for way, each in (("x", (("a", ""), ("b", ""))), ("y", (("a", ""), ("b", "bad"))))
+    )
+    assert [turn.choice for turn in compare(first, second).choices] == ["b", "a"]
+
+
+def test_a_choice_that_only_one_run_found_says_nothing() -> None:
+    for first, second in (
+        (going("counts", "one"), going("counts", "two")),
+        (going("counts", "one"), run_of(a="pass")),
+        (run_of(a="pass"), going("zero", "two", "no order")),
+    ):
+        found = compare(first, second)
+        assert (found.worse, found.choices) == (False, ())
+        assert headline(found).endswith("; 0 choices changed")
+
+
+def test_the_command_tells_choices(call: Call, tmp_path: Path) -> None:
+    counted, zero = tmp_path / "counted", tmp_path / "zero"
+    for file, way, risks in (
+        (counted, "counts", {}),
+        (zero, "zero", {"reply_counter": "no order"}),
+    ):
+        with begin(file, BASIS) as journal:
+            verdict = Verdict("mailbox/one", Outcome.PASS, "one")
+            learned = Learned({"reply_counter": way}, risks=risks)
+            journal.keep(Judged("mailbox/one", verdict, learned))
+            journal.finish()
+    status, out, err = call("compare", str(counted), str(zero))
+    assert (status, err) == (1, "")
+    assert "choices of the device that changed" in out
+    assert " ".join(out.splitlines()[-1].split()) == (
+        "worse reply_counter counts zero mailbox/one mailbox/one no order"
+    )
+    status, out, _ = call("compare", str(zero), str(counted), "--json")
+    assert status == 0
+    (turn,) = json.loads(out)["choices"]
+    assert (turn["standing"], turn["before"]["cases"]) == ("better", ["mailbox/one"])
+
+
+def test_a_run_that_goes_on_is_the_last(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    protocol = load(SMALL)
+    basis = replace(BASIS, device=SMALL, digest=protocol.digest)
+    cases = [Judged(case, Verdict(case, Outcome.PASS, case), Learned()) for case in ("a", "b")]
+    with record.begin(basis) as journal:
+        for judged in cases:
+            journal.keep(judged)
+        journal.finish()
+    finished = record.named("last")
+    with record.begin(basis) as journal:
+        journal.keep(cases[0])
+        assert record.named("previous") == finished
+        status, out, err = call("compare", "previous", "last")
+        assert (status, err) == (0, "")
+        assert out.startswith("1 cases in common: 0 cases worse, 0 better")
+        assert "note: the second run is not finished: 1 cases\n" in out
+        known = record.load(protocol)
+        assert known is not None
+        assert set(known.cases) == {"a", "b"}, "what goes on says too little"
+        monkeypatch.setattr(results, "_PATIENCE", 0.1)
+        with pytest.raises(UserError, match="a run is writing"):
+            record.begin(basis, resume=True)
+        finished.unlink()
+        known = record.load(protocol)
+        assert known is not None
+        assert set(known.cases) == {"a"}
 
 
 def test_the_command(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,8 +16,9 @@ import pytest
 from short import DRIVE, FAULT, SMALL, same, shorten
 
 from ecatspec.conformance import cli, results
-from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.results import Basis, begin, read
+from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.reports import REPORTS
+from ecatspec.conformance.results import Basis, FoundWay, begin, read
 from ecatspec.conformance.runner import run_device
 from ecatspec.conformance.steps import Judged, Learned
 from ecatspec.conformance.verdict import Outcome, TraceLine, Verdict
@@ -286,6 +287,48 @@ def test_what_is_no_results_file_is_one_line(call: Call, tmp_path: Path, damage:
         assert (status, out) == (2, "")
         assert str(file) in err
         assert err.count("\n") == 1
+
+
+# --- what a run found out -------------------------------------------------------------------------
+
+
+def test_choices_come_back_with_the_cases_that_told_them(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    told = (
+        Learned({"way": "left", "speed": "low"}),
+        Learned(),
+        Learned({"counter": "zero"}, risks={"counter": "not to be told apart"}),
+        Learned({"way": "left"}),
+        Learned({"speed": "high"}),
+    )
+    with begin(file, BASIS) as journal:
+        for number, learned in enumerate(told):
+            case = f"case {number}"
+            journal.keep(Judged("a step", Verdict(case, Outcome.PASS, case), learned))
+    assert read(file).choices == {
+        "way": FoundWay("left", ("case 0", "case 3")),
+        "speed": FoundWay("high", ("case 4",)),
+        "counter": FoundWay("zero", ("case 2",), "not to be told apart"),
+    }
+
+
+def test_a_file_from_before_there_were_risks_is_read(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    kept(file)
+    with sqlite3.connect(file) as base:
+        base.execute("UPDATE step SET learned = json_remove(learned, '$.risks')")
+    base.close()
+    assert read(file).choices == {"way": FoundWay("left", ("two",))}
+
+
+def test_a_run_tells_why_a_way_is_risky(tmp_path: Path) -> None:
+    file = tmp_path / "run"
+    case = "ds402/shutdown/enable_operation/quick_stop/enable_operation"
+    result = run_device("metronix-dis2", "model", replay=case, keep=partial(begin, file))
+    name, why = "return_from_quick_stop", "the transition is not recommended"
+    assert read(file).choices[name] == FoundWay("served", (case,), why)
+    report = REPORTS["text"]((result,), load("metronix-dis2"))
+    assert f"  choices   {name} = served (found) RISKY: the" in report
 
 
 # --- a run that goes on ---------------------------------------------------------------------------

@@ -104,6 +104,8 @@ class Foundations:
         """Look through all rules of the protocol."""
         self._protocol = protocol
         self._named = self._by_name()
+        self._remembered: dict[tuple[str, str], frozenset[str]] = {}
+        """By kind and name what frames and definitions rest on, which many rules mention."""
         self._fields = {
             replaced.frame: replaced.clauses
             for replaced in protocol.replaced
@@ -193,7 +195,13 @@ class Foundations:
                 yield from bits.shows.advised.clauses
         yield from self._of_nodes(nodes_in(layout))
 
-    def _of_frame(self, name: str) -> Iterator[str]:
+    def _of_frame(self, name: str) -> frozenset[str]:
+        key = "frame", name
+        if key not in self._remembered:
+            self._remembered[key] = frozenset(self._of_trail(name))
+        return self._remembered[key]
+
+    def _of_trail(self, name: str) -> Iterator[str]:
         place: str | None = name
         while place is not None:
             frame = self._protocol.frames[place]
@@ -213,12 +221,18 @@ class Foundations:
                 yield from self._protocol.dictionary.clauses
             if not isinstance(node, Name) or node.path in undecided:
                 continue
-            definition = self._protocol.definitions.get(node.path)
-            if definition is None:
-                yield from self._named.get(node.path, ())
+            if node.path in self._protocol.definitions:
+                yield from self._of_definition(node.path)
             else:
-                yield from definition.clauses
-                yield from self._of_nodes(nodes_in(definition.value))
+                yield from self._named.get(node.path, ())
+
+    def _of_definition(self, name: str) -> frozenset[str]:
+        key = "define", name
+        if key not in self._remembered:
+            definition = self._protocol.definitions[name]
+            within = self._of_nodes(nodes_in(definition.value))
+            self._remembered[key] = frozenset((*definition.clauses, *within))
+        return self._remembered[key]
 
 
 def _layouts(protocol: Protocol) -> tuple[Register | Word, ...]:

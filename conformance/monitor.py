@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.capture.transactions import Capture
+from ecatspec.conformance.coverage import extent_of
 from ecatspec.conformance.devices import load
 from ecatspec.conformance.verdict import (
     ADVISED,
@@ -23,7 +24,6 @@ from ecatspec.conformance.verdict import (
 from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
-from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.once import once
 from ecatspec.model.oracle import Oracle
 from ecatspec.model.wire import wire_format
@@ -243,9 +243,7 @@ def monitor_file(
 def _result(
     model: Model, name: str, path: Path, follower: Follower, seconds: float, notes: list[str]
 ) -> Result:
-    machines = model.protocol.machines.values()
-    rules = [rule for machine in machines for rule in machine.rules]
-    cited = {c for rule in follower.rules for c in rule_clauses(model, rule)}
+    extent = extent_of(model, follower.rules, {})
     verdicts = list(follower.verdicts)
     if not verdicts:
         seen = bool(follower.rules)
@@ -273,11 +271,13 @@ def _result(
         model.protocol.name,
         f"{name} in {path.name}",
         tuple(verdicts),
-        tuple(sorted(str(rule) for rule in follower.rules)),
-        len(rules),
-        tuple(sorted(cited)),
-        len({clause for rule in rules for clause in rule.clauses}),
+        extent.rules_covered,
+        extent.rules_total,
+        extent.clauses_covered,
+        extent.clauses_total,
         seconds,
         follower.oracle.choices(),
         (*filter(None, shown), *notes),
+        rules_beyond=extent.rules_beyond,
+        clauses_beyond=extent.clauses_beyond,
     )

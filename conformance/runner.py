@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 from ecatspec.conformance import known as known_deviations
 from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
+from ecatspec.conformance.coverage import extent_of
 from ecatspec.conformance.devices import UserError, load, nearest
 from ecatspec.conformance.marks import headline
 from ecatspec.conformance.results import Basis
@@ -806,21 +807,17 @@ def _run_all(
 def _result(
     runner: Runner, guarantees: list[str], began: float, set_up: SetUp, *, interrupted: bool
 ) -> Result:
-    model, protocol = runner.model, runner.model.protocol
-    rules = sum(len(machine.rules) for machine in protocol.machines.values())
-    cited = {c for rule in runner.rules for c in rule_clauses(model, rule)}
+    protocol = runner.model.protocol
+    extent = extent_of(runner.model, runner.rules, shape_of(protocol))
     blamed = any(verdict.outcome in BLAMING for verdict in runner.verdicts)
-    all_cited = {
-        c for machine in protocol.machines.values() for rule in machine.rules for c in rule.clauses
-    }
     return Result(
         protocol.name,
         runner.description.name,
         tuple(runner.verdicts),
-        tuple(sorted(str(rule) for rule in runner.rules)),
-        rules,
-        tuple(sorted(cited)),
-        len(all_cited),
+        extent.rules_covered,
+        extent.rules_total,
+        extent.clauses_covered,
+        extent.clauses_total,
         time.monotonic() - began,
         runner.choices,
         (
@@ -833,6 +830,8 @@ def _result(
         set_up,
         runner.unreached(),
         runner.planned,
+        extent.rules_beyond,
+        extent.clauses_beyond,
     )
 
 

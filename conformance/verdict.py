@@ -191,6 +191,10 @@ class Result:
     """The AL states that cases needed and none reached."""
     planned: int = 0
     """The cases of the whole run, as far as they are known; 0: they are not."""
+    rules_beyond: tuple[str, ...] = ()
+    """The rules that the device cannot reach by its own text; they are not in the total."""
+    clauses_beyond: tuple[str, ...] = ()
+    """The clauses that it cannot reach either; they are not in the total."""
 
     def interruption(self) -> str:
         """Say how far an interrupted run came, and how to go on; empty: it came to its end."""

@@ -64,9 +64,10 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from ecatspec.model.codec import Message
+    from ecatspec.model.evaluate import Function
     from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import (
         Give,
@@ -180,7 +181,7 @@ class Model:
         self.codec = Codec(protocol)
         self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
         self.image = ProcessImage(protocol, self.dictionary, self.parameter)
-        self._functions = PLAIN | self.dictionary.functions | self.image.functions
+        self._functions = self.functions()
         self._definitions: dict[tuple[str, Scope], Getter] = {}
         names, values = zip(*self._initial(), strict=True)
         self.slots: dict[str, int] = {name: slot for slot, name in enumerate(names)}
@@ -277,6 +278,10 @@ class Model:
     def sets_up(self, index: int) -> bool:
         """Tell whether an object has a say in what process data hold."""
         return self.image.configures(index) or any(key[0] == index for key in self.settings)
+
+    def functions(self) -> Mapping[str, Function]:
+        """Give the functions that the texts may call."""
+        return PLAIN | self.dictionary.functions | self.image.functions
 
     def signature(self, event: Event) -> tuple[tuple[str, Type], ...]:
         """Give the parameters of an input with their types."""

@@ -75,6 +75,8 @@ def result(subject: str) -> Result:
         verdicts=tuple(verdict for each in results for verdict in each.verdicts),
         rules_total=100,
         clauses_total=50,
+        rules_beyond=(),
+        clauses_beyond=(),
         seconds=1.0,
         set_up=replace(first.set_up, began="2026-01-02T03:04:05+00:00"),
     )

@@ -160,6 +160,22 @@ def test_a_risky_way_that_the_text_states_is_known() -> None:
     assert REPORTS["html"]((found,), protocol).count(">risky<") == 1
 
 
+def test_what_a_device_cannot_reach_is_told_apart() -> None:
+    bounded = replace(ALL, rules_beyond=("al.d", "al.c"), clauses_beyond=("AL-28",))
+    assert text(bounded).splitlines()[4:6] == [
+        "  rules     2 of 7 that the device can reach (2 more are not its own)",
+        "  clauses   1 of 9 that the device can reach (1 more is not its own)",
+    ]
+    results = loaded(bounded)["results"]
+    assert isinstance(results, list)
+    assert results[0]["rules"] == {
+        "covered": ["al.a", "al.b"],
+        "total": 7,
+        "beyond": ["al.c", "al.d"],
+    }
+    assert results[0]["clauses"]["beyond"] == ["AL-28"]
+
+
 def test_the_suites_of_a_run_stand_in_the_summary() -> None:
     promises = ("AL, 30 states: checked: exact; passed", "DS402: promises nothing: 1 fail")
     promised = replace(ALL, guarantees=promises)
@@ -381,7 +397,7 @@ def test_json_has_what_the_text_has() -> None:
     results = data["results"]
     assert isinstance(results, list)
     (one,) = results
-    assert one["rules"] == {"covered": ["al.a", "al.b"], "total": 7}
+    assert one["rules"] == {"covered": ["al.a", "al.b"], "total": 7, "beyond": []}
     assert one["cases"]["skipped"] == 3
     assert [finding["outcome"] for finding in one["findings"]] == ["crash", "fail"]
     fail = one["findings"][1]
@@ -483,6 +499,21 @@ def test_junit_says_what_was_not_shown() -> None:
     assert skipped is not None
     held = replace(PASS, rules=("al.init_to_preop",))
     assert case_of(junit(result(held)), "AL-03").find("skipped") is None
+
+
+def test_junit_has_no_test_of_what_the_device_cannot_reach() -> None:
+    held = replace(PASS, rules=("al.init_to_preop",))
+    beyond = ("DRV-05", "AL-03", "AL-08", "AL-99")
+    root = junit(replace(result(FAIL, held), clauses_beyond=beyond))
+    names = {case.attrib["name"] for case in root.iter("testcase")}
+    # what was seen of a device after all is told
+    assert PROTOCOL.clauses.keys() - names == {"DRV-05"}
+    (number,) = (
+        each.get("value")
+        for each in root.iter("property")
+        if each.get("name") == "clauses not of this device"
+    )
+    assert number == "1"
 
 
 def test_nothing_judged_is_an_error_in_junit() -> None:

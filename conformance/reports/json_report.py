@@ -53,10 +53,14 @@ class SetUpPart(_Part, frozen=True):
 
 
 class Covered(_Part, frozen=True):
-    """What was exercised, of so many."""
+    """What was exercised, of so many that the device can reach.
+
+    `beyond` is what it cannot reach by its own text, and is not in the total.
+    """
 
     covered: list[str]
     total: Count
+    beyond: list[str]
 
 
 class ClausePart(_Part, frozen=True, omit_defaults=True):
@@ -179,8 +183,10 @@ def _result(result: Result, protocol: Protocol) -> ResultPart:
         round(result.seconds, 3),
         _set_up(result),
         {outcome: counts[outcome] for outcome in Outcome},
-        Covered(sorted(result.rules_covered), result.rules_total),
-        Covered(sorted(result.clauses_covered), result.clauses_total),
+        Covered(sorted(result.rules_covered), result.rules_total, sorted(result.rules_beyond)),
+        Covered(
+            sorted(result.clauses_covered), result.clauses_total, sorted(result.clauses_beyond)
+        ),
         dict(result.choices),
         risks(result, protocol),
         [_finding(finding, result, protocol) for finding in result.findings()],

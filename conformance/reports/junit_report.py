@@ -1,6 +1,7 @@
 """The only place for a report that build servers read: JUnit XML, one test for each clause.
 
-Names of tests are ids of clauses, so they stay the same from run to run. The file stays small
+Names of tests are ids of clauses, so they stay the same from run to run. Clauses that the device
+cannot reach by its own text have no test. The file stays small
 whatever the run: a test names a few of its findings and counts the others.
 """
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 
 WHOLE: Final = "run"
 """The suite and the test of what belongs to no clause."""
+BEYOND: Final = f"clauses {Shown.BEYOND}"
+"""The property that says how many clauses have no test."""
 _SHOWN: Final = 3
 """Findings that a test tells of at most."""
 _LONGEST: Final = 400
@@ -53,7 +56,9 @@ def report(results: Sequence[Result], protocol: Protocol) -> str:
 
 def _result(root: ET.Element, device: str, result: Result, protocol: Protocol) -> None:
     groups: dict[str, list[Covered]] = {}
-    for covered in coverage(result, protocol).values():
+    clauses = coverage(result, protocol).values()
+    own = [covered for covered in clauses if covered.shown is not Shown.BEYOND]
+    for covered in own:
         groups.setdefault(covered.clause.id.partition("-")[0], []).append(covered)
     whole = _suite(root, device, WHOLE, result.seconds)
     _properties(
@@ -63,6 +68,7 @@ def _result(root: ET.Element, device: str, result: Result, protocol: Protocol) -
             "specification": protocol.name,
             "digest": protocol.digest,
             "subject": result.subject,
+            BEYOND: str(len(clauses) - len(own)),
             **{f"choice {name}": way for name, way in sorted(result.choices.items())},
         },
     )
@@ -117,7 +123,7 @@ def _clause(suite: ET.Element, classname: str, covered: Covered, result: Result)
         case Shown.KNOWN:
             reason = covered.findings[0][1].verdict.reason
             ET.SubElement(case, "skipped", {"message": _clean(reason)})
-        case Shown.HELD:
+        case Shown.HELD | Shown.BEYOND:
             pass
         case Shown.UNTESTED | Shown.UNOBSERVABLE:
             ET.SubElement(case, "skipped", {"message": _SKIPPED[covered.shown]})

@@ -85,12 +85,20 @@ def _summary(result: Result, protocol: Protocol) -> Iterable[str]:
     counts = ((result.count(outcome), outcome.value) for outcome in Outcome)
     cases = ", ".join(f"{count} {name}" for count, name in counts if count) or "none"
     yield from _labelled("cases", [cases])
-    yield from _labelled("rules", [f"{len(result.rules_covered)} of {result.rules_total} covered"])
-    clauses = f"{len(result.clauses_covered)} of {result.clauses_total} covered"
+    rules = _extent(result.rules_covered, result.rules_total, result.rules_beyond)
+    yield from _labelled("rules", [rules])
+    clauses = _extent(result.clauses_covered, result.clauses_total, result.clauses_beyond)
     yield from _labelled("clauses", [clauses])
     yield from _labelled("choices", [*_choices(result, protocol)])
     yield from _labelled("suites", result.guarantees)
     yield from _labelled("time", [f"{result.seconds:.1f} s"])
+
+
+def _extent(covered: Sequence[str], total: int, beyond: Sequence[str]) -> str:
+    if not beyond:
+        return f"{len(covered)} of {total} covered"
+    more = f"{len(beyond)} more {'is' if len(beyond) == 1 else 'are'} not its own"
+    return f"{len(covered)} of {total} that the device can reach ({more})"
 
 
 def _choices(result: Result, protocol: Protocol) -> Iterable[str]:

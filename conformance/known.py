@@ -125,8 +125,9 @@ def draft(device: str, results: Iterable[Result], accepted: Accepted) -> str:
     found: dict[str, Known] = {}
     for result in results:
         for finding in result.findings():
-            verdict = finding.verdict
-            if verdict.outcome in CAUSED:
+            if finding.verdict.outcome not in CAUSED:
+                continue
+            for verdict in (finding.verdict, *(kind for kind, _ in finding.kinds)):
                 new = Known(
                     verdict.signature,
                     _UNEXPLAINED.format(day=day),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ecatspec.conformance.verdict import Verdict
+    from ecatspec.conformance.verdict import Finding, Verdict
 
 
 def plain(text: str) -> str:
@@ -25,6 +25,14 @@ def plural(count: int, word: str) -> str:
 def needs(verdict: Verdict) -> str:
     """Say on which ways of the device a finding depends."""
     return f"it is a finding because the device goes this way: {', '.join(verdict.depends)}"
+
+
+def kinds(finding: Finding) -> list[str]:
+    """Say what else was observed of a finding, and where."""
+    return [
+        f"{verdict.title} [{verdict.broken}]: {verdict.case}, {plural(count, 'case')}"
+        for verdict, count in finding.kinds
+    ]
 
 
 def headline(observed: str, differing: Sequence[str], wording: str) -> str:

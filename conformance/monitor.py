@@ -164,6 +164,7 @@ class Follower:
             tuple(self.recent),
             mismatch.exchange.reference,
             mismatch.signature,
+            mismatch.causes,
             differing=mismatch.differing,
             blamed=tuple(map(str, mismatch.rules)),
         )

@@ -570,7 +570,7 @@ class Runner:
                 verdict = self._against(case, mismatch, tuple(session.trace), session.time)
                 if mismatch.silent and session.is_deaf():
                     # what else it does not answer then is no cause of its own
-                    return replace(verdict, reason=_DEAF, signature=_DEAF)
+                    return replace(verdict, reason=_DEAF, signature=_DEAF, causes=())
                 return verdict
             case DeviceFault():
                 return self._death(case, error)
@@ -611,6 +611,7 @@ class Runner:
             ),
             f"{time / 1000:.1f} ms",
             mismatch.signature,
+            mismatch.causes,
             differing=mismatch.differing,
             blamed=tuple(map(str, mismatch.rules)),
         )

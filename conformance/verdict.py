@@ -6,7 +6,10 @@ import shlex
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum, auto
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 
 class Outcome(StrEnum):
@@ -98,6 +101,9 @@ class Verdict:
     trace: tuple[TraceLine, ...] = ()
     at: str = ""
     signature: str = ""
+    """Its identity: the same wherever the same is observed and the same demands otherwise."""
+    causes: tuple[str, ...] = ()
+    """Verdicts that share one of these share a cause; none: those with the same identity do."""
     flag: str = ""
     """What was broken on purpose, a key of `families.NOTES`."""
     rules: tuple[str, ...] = ()
@@ -140,6 +146,8 @@ class Finding:
 
     verdict: Verdict
     also: tuple[str, ...] = ()
+    kinds: tuple[tuple[Verdict, int], ...] = ()
+    """What else was observed of it: the shortest of each identity, and the cases that show it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,14 +266,30 @@ class Result:
             Outcome.WARNING,
             Outcome.KNOWN,
         )
-        groups: dict[tuple[Outcome, str], list[Verdict]] = {}
+        same: dict[tuple[Outcome, str], list[Verdict]] = {}
         for verdict in self.verdicts:
             if verdict.outcome in wanted:
                 key = (verdict.outcome, verdict.signature or verdict.case)
-                groups.setdefault(key, []).append(verdict)
-        found = []
-        for verdicts in groups.values():
-            best = min(verdicts, key=lambda verdict: len(verdict.trace))
-            also = tuple(verdict.case for verdict in verdicts if verdict is not best)
-            found.append(Finding(best, also))
+                same.setdefault(key, []).append(verdict)
+        found = map(_finding, _of_one_cause(same.values()))
         return tuple(sorted(found, key=lambda finding: wanted.index(finding.verdict.outcome)))
+
+
+def _of_one_cause(kinds: Iterable[list[Verdict]]) -> list[list[list[Verdict]]]:
+    """Put together the kinds of verdicts that share a cause, each kind with the same identity."""
+    groups: list[tuple[set[tuple[Outcome, str]], list[list[Verdict]]]] = []
+    for kind in kinds:
+        names = {(v.outcome, c) for v in kind for c in v.causes or (v.signature or v.case,)}
+        shared = [group for group in groups if group[0] & names]
+        groups = [group for group in groups if not group[0] & names]
+        names = names.union(*(group[0] for group in shared))
+        groups.append((names, [*(each for group in shared for each in group[1]), kind]))
+    return [group[1] for group in groups]
+
+
+def _finding(kinds: list[list[Verdict]]) -> Finding:
+    shortest = [min(kind, key=lambda verdict: len(verdict.trace)) for kind in kinds]
+    best = min(shortest, key=lambda verdict: len(verdict.trace))
+    also = tuple(verdict.case for kind in kinds for verdict in kind if verdict is not best)
+    others = ((s, len(kind)) for s, kind in zip(shortest, kinds, strict=True) if s is not best)
+    return Finding(best, also, tuple(sorted(others, key=lambda other: -other[1])))

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.citations import object_name
-from ecatspec.model.compiled import rows_of
+from ecatspec.model.compiled import paths_in, rows_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import row_of, rule_clauses
 from ecatspec.model.once import once
@@ -37,6 +37,8 @@ _ANSWERED: Final = "response_timeout"
 _FAR: Final = 100
 """Something else altogether: more than any number of fields."""
 _VALUE: Final = "value"
+_TELLING: Final = frozenset({_VALUE, "code"})
+"""The fields that tell by which rule a device went."""
 _WEAKER: Final[Mapping[Level, int]] = MappingProxyType({Level.MUST: 0, Level.SHOULD: 1})
 """How much less a level demands than `must`; all others demand nothing of a device."""
 _MUCH: Final = 8
@@ -65,6 +67,10 @@ class Alternative:
     """Nothing was observed where an answer was due."""
     blank: bool = False
     """The fields that differ were left at 0."""
+    stuck: bool = False
+    """What was observed is what the device showed before the last rule."""
+    sized: bool = False
+    """The length of the value follows from what its entry holds, which is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +82,8 @@ class Blame:
     rules: tuple[RuleName, ...]
     clauses: tuple[str, ...]
     nearest: tuple[Alternative, ...]
+    by_rule: bool
+    """It is a rule that demands it, not a layout or an entry."""
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -98,8 +106,8 @@ def blame(model: Model, alternatives: Iterable[Alternative]) -> Blame | None:
         clauses |= dict.fromkeys(clause for row in rows for clause in row if clause)
     ordered = strongest_first(model, clauses)
     rules = tuple(dict.fromkeys(rule for each in nearest for rule in each.rules[-1:]))
-    demand = demand or next(iter(ordered), nearest[0].layout)
-    return Blame(demand, rules, ordered, tuple(nearest))
+    told = demand or next(iter(ordered), nearest[0].layout)
+    return Blame(told, rules, ordered, tuple(nearest), by_rule=not demand)
 
 
 def strongest_first(model: Model, clauses: Iterable[str]) -> tuple[str, ...]:
@@ -146,7 +154,11 @@ def _demanded(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]]:
 def _of_layout(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]] | None:
     """Give the field that differs, where its layout has clauses for it that the rule cites too."""
     protocol = model.protocol
-    fields = sorted(each.fields, key=lambda name: name != _VALUE)
+    sizes = sizing(model, each.layout, _VALUE) if each.sized else frozenset()
+    fields = sorted(
+        {_VALUE if name in sizes else name for name in each.fields},
+        key=lambda name: (name != _VALUE, name),
+    )
     if each.layout in protocol.frames:
         entry = each.entry
         known = entry is not None and (entry.index, entry.subindex) in each.candidate.state.known()
@@ -160,10 +172,8 @@ def _of_layout(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]] |
             for frame in model.codec.trail(each.layout):
                 items = {item.name: item for item in protocol.frames[frame].fields}
                 item = items.get(name)
-                if item is not None and each.resized and isinstance(item.type, Bytes):
-                    length = item.type.length
-                    sizing = () if length is None else names_in(length)
-                    sized = (items[other] for other in sizing if other in items)
+                if item is not None and each.resized:
+                    sized = (items[n] for n in items if n in sizing(model, frame, name))
                     item = next((other for other in sized if other.clauses), item)
                 if item is None or not item.clauses:
                     continue
@@ -177,6 +187,16 @@ def _of_layout(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]] |
     return None
 
 
+@once
+def sizing(model: Model, layout: str, name: str) -> frozenset[str]:
+    """Give the fields of a frame that say how long another field of it is."""
+    for frame in model.codec.trail(layout):
+        for item in model.protocol.frames[frame].fields:
+            if item.name == name and isinstance(item.type, Bytes) and item.type.length is not None:
+                return frozenset(names_in(item.type.length))
+    return frozenset()
+
+
 def _ranked(model: Model, each: Alternative) -> tuple[str, ...]:
     """Give the clauses of the rules that led there, the most telling first."""
     told: dict[str, None] = {}
@@ -186,22 +206,34 @@ def _ranked(model: Model, each: Alternative) -> tuple[str, ...]:
     return tuple(told)
 
 
-def _telling(model: Model, each: Alternative, rule: RuleName, clause: str) -> tuple[bool, ...]:
+def _telling(model: Model, each: Alternative, rule: RuleName, clause: str) -> tuple[int, ...]:
     """Give how little a clause of a rule tells of what was wrong."""
     asked = each.asked if rule == each.rules[-1] else ()
-    decisive, idle = _decisive(model, rule, each.candidate.state, asked)
+    decisive, idle = _decisive(model, rule, each.candidate.state, asked, each.stuck)
+    filled = each.layout in model.protocol.frames and bool(each.fields)
+    if filled and _TELLING.isdisjoint(each.fields):
+        # it did not go otherwise: it went, and filled in what is wrong
+        decisive, idle = frozenset(), frozenset()
     answers = model.protocol.parameters[_ANSWERED].clauses if each.silent else ()
     concerned = () if each.entry is None else each.entry.clauses
+    shared = _entries_of(model)[clause] if clause in concerned else 0
     own = bool(model.protocol.clauses[clause].claims)
     return (
         clause not in answers,
         clause not in concerned,
         not own,
+        shared,
         clause not in decisive,
         clause in idle,
         not _at_home(model, rule, clause),
         not own and _often(model)[clause] > _MUCH,
     )
+
+
+@once
+def _entries_of(model: Model) -> Counter[str]:
+    """Count the entries that cite each clause: one that fewer cite is about them."""
+    return Counter(c for entry in model.dictionary.entries.values() for c in set(entry.clauses))
 
 
 @once
@@ -213,17 +245,22 @@ def _often(model: Model) -> Counter[str]:
 
 @once
 def _decisive(
-    model: Model, rule: RuleName, state: State, asked: tuple[tuple[str, Value], ...]
+    model: Model,
+    rule: RuleName,
+    state: State,
+    asked: tuple[tuple[str, Value], ...],
+    stuck: bool,  # noqa: FBT001
 ) -> tuple[frozenset[str], ...]:
     """Give the clauses of the definitions that let a rule fire in a state, and of the others.
 
-    Of definitions that are made up of others it is the innermost that tell.
+    Of definitions that are made up of others it is the innermost that tell. For a device that did
+    not go at all those tell that speak of a word that it did not heed.
     """
     told: dict[str, tuple[int, set[bool]]] = {}
     environment = Environment(state.slots, state.known(), dict(asked))
     for name, scope, wanted, depth in _guard_of(model, rule):
         definition = model.protocol.definitions.get(name)
-        if definition is None:
+        if definition is None or (stuck and not _speaks_of_word(model, name)):
             continue
         try:
             holds = model.definition(name, scope)(environment)
@@ -236,6 +273,13 @@ def _decisive(
                 if told[clause][0] == depth:
                     told[clause][1].add(holds is wanted)
     return tuple(frozenset(c for c, (_, ways) in told.items() if way in ways) for way in _WAYS)
+
+
+@once
+def _speaks_of_word(model: Model, name: str) -> bool:
+    """Tell whether a definition depends on a word, such as a control word."""
+    paths = paths_in(model.protocol, model.protocol.definitions[name].value)
+    return any(path.partition(".")[0] in model.protocol.words for path in paths)
 
 
 def _is_own(model: Model, rule: RuleName) -> bool:

@@ -121,6 +121,9 @@ class Mismatch:
     rules: tuple[RuleName, ...]
     clauses: tuple[str, ...]
     signature: str
+    """What was observed and what demands otherwise: the same wherever it is observed."""
+    causes: tuple[str, ...] = ()
+    """What it has in common with others of the same cause: they share one of these at least."""
     reasons: tuple[str, ...] = ()
     """Why the device had to refuse, where it had to."""
     differing: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING
 
-from ecatspec.model.blame import Alternative, blame, strongest_first
+from ecatspec.model.blame import Alternative, blame, sizing, strongest_first
 from ecatspec.model.candidates import (
     Candidate,
     Exchange,
@@ -22,6 +22,7 @@ from ecatspec.model.candidates import (
 )
 from ecatspec.model.citations import object_name
 from ecatspec.model.compiled import MAILBOX
+from ecatspec.model.dictionary import size_varies
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.feeding import fed, widened
@@ -96,7 +97,6 @@ _OWN_REASON = RuleName("sdo", "value_refused")
 """The rule by which a device refuses a value for a reason of its own."""
 _REASONS = "told_reason"
 """The table of the abort codes that say of themselves why a value is refused."""
-_ASKED = frozenset({"write", "frame", "outputs", "word"})
 """Kinds of inputs that come from the MainDevice."""
 _VALUE = "value"
 _REFUSING = frozenset({"code", "detail"})
@@ -126,8 +126,8 @@ class Oracle:
     """What the candidates grew to when they were looked at last."""
     _overlooking: Explanations | None = None
     """What is left where the last mismatch is overlooked."""
-    _asked: int = 0
-    """Rules that every explanation had gone by when the MainDevice wrote last, or all was right."""
+    _right: dict[tuple[int, int], int] = field(default_factory=dict)
+    """Rules that every explanation had gone by when a place was last read and right."""
     _idle: set[tuple[int, bytes, int]] = field(default_factory=set)
     """Reads (address, data, working counter) that told nothing of the candidates `_idle_of`."""
     _idle_of: Explanations = field(default_factory=dict)
@@ -155,7 +155,7 @@ class Oracle:
         self.lost = False
         self.advice = {}
         self._suspicion = None
-        self._asked = 0
+        self._right = {}
         self.written = 0
 
     def unknown(self, *, keep: bool = False) -> None:
@@ -171,7 +171,6 @@ class Oracle:
         """Take one exchange into account; tell the mismatch, if there is one."""
         self._overlooking = None
         if exchange.write:
-            self._asked = self._gone_by()
             return self._write(exchange)
         look = exchange.address, exchange.data, exchange.working_counter
         grown = self._grown
@@ -184,7 +183,7 @@ class Oracle:
             return None
         mismatch = self._read(exchange)
         if mismatch is None:
-            self._asked = self._gone_by()
+            self._right[exchange.span()] = self._gone_by()
         if self._grown is not None and self._grown.found is self.candidates and mismatch is None:
             if self._idle_of is not self.candidates or len(self._idle) >= _LOOKS:
                 self._idle, self._idle_of = set(), self.candidates
@@ -303,7 +302,6 @@ class Oracle:
 
     def happened(self, machine: str, event: str, time: int) -> None:
         """Take it that somebody made this local event befall the device."""
-        self._asked = self._gone_by()
         self.candidates = {
             self._having(candidate, Event(machine, event, {}), time): history
             for candidate, history in self.expanded(time).items()
@@ -377,7 +375,7 @@ class Oracle:
             c.befell or len(h) > len({r.machine for r in h}) for c, h in self.candidates.items()
         ):
             return
-        self._asked = 0
+        self._right = {}
         self.candidates = {
             replace(candidate, befell=()): tuple({rule.machine: rule for rule in history}.values())
             for candidate, history in self.candidates.items()
@@ -703,15 +701,10 @@ class Oracle:
 
         blank = {view.name for view in views if not view.truth and not fields[view.name]}
         by = [
-            Alternative(
-                c,
-                self._led(c, h, machines, differs),
-                odd,
-                register.name,
-                blank=blank.issuperset(odd),
-            )
+            Alternative(c, led, odd, register.name, blank=blank.issuperset(odd), stuck=stuck)
             for c, h in before.items()
             for odd in [differs(c.state)]
+            for led, stuck in [self._led(c, h, exchange.span(), machines, differs)]
         ]
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
         found = self._mismatch(
@@ -842,9 +835,11 @@ class Oracle:
                 return _differing(shown_fields(self.model, state, name), shown[name])
 
             by += [
-                Alternative(c, self._led(c, h, machines, differs), differs(c.state), name)
+                Alternative(c, led, odd, name, stuck=stuck)
                 for c, h in wrong.items()
-                if differs(c.state)
+                for odd in [differs(c.state)]
+                if odd
+                for led, stuck in [self._led(c, h, exchange.span(), machines, differs)]
             ]
         return self._mismatch(
             exchange,
@@ -933,7 +928,11 @@ class Oracle:
                 fields = differing(self.model, candidate.state, output, message)
             each = self._due_reply(candidate, output)
             resized = _VALUE in fields and not self._fits(candidate.state, output, message)
-            by.append(replace(each, fields=fields, resized=resized))
+            sized = self._holds_any_size(candidate.state, each.entry)
+            if sized and _VALUE in fields:
+                sizes = sizing(self.model, output.frame, _VALUE)
+                fields = tuple(name for name in fields if name not in sizes)
+            by.append(replace(each, fields=fields, resized=resized and not sized, sized=sized))
         expected = self._expected_replies(before)
         found = self._mismatch(
             exchange, "reply", expected, observed, by or _alternatives(before, {MAILBOX}), (*wrong,)
@@ -1081,6 +1080,11 @@ class Oracle:
         rules = tuple(dict.fromkeys((*output.chain, output.rule)))
         return Alternative(candidate, rules, layout=output.frame, entry=entry, asked=output.asked)
 
+    def _holds_any_size(self, state: State, entry: ObjectEntry | None) -> bool:
+        """Tell whether it is known what an entry holds, and that may be of any size."""
+        known = entry is not None and (entry.index, entry.subindex) in state.known()
+        return known and entry is not None and size_varies(entry)
+
     def _fits(self, state: State, output: Output, message: Message | None) -> bool:
         """Tell whether the value of a message is as long as it is to be."""
         expected = expected_fields(self.model, state, output).get(_VALUE)
@@ -1096,33 +1100,29 @@ class Oracle:
         self,
         candidate: Candidate,
         history: tuple[RuleName, ...],
+        span: tuple[int, int],
         machines: AbstractSet[str],
         differs: Callable[[State], tuple[str, ...]],
-    ) -> tuple[RuleName, ...]:
+    ) -> tuple[tuple[RuleName, ...], bool]:
         """Give the rule that the device did not go by, if it shows the state before; else the last.
 
-        It is looked for back to what the MainDevice asked last.
+        And whether it shows that state.
+
+        It is looked for back to when this was read last and right, or anything was.
         """
         own = [rule for rule in history if rule.machine in machines]
-        for rule in reversed(history[self._asked :]):
+        seen = max(self._right.values(), default=0)
+        for rule in reversed(history[self._right.get(span, seen) :]):
             row = row_of(self.model, rule)
-            assert row is not None
-            machine = self.model.protocol.machines[rule.machine]
-            asked = next(i.kind for i in machine.inputs if i.name == row.input) in _ASKED
-            if rule.machine not in machines:
-                if asked:
-                    break
+            if rule.machine not in machines or not isinstance(row, Rule) or row.target is None:
                 continue
             slot = self.model.slots[f"{rule.machine}.state"]
             names = {name: value for value, name in self.model.state_names(rule.machine).items()}
             sources = (names[name] for name in row.sources)
-            if isinstance(row, Rule) and row.target is not None:
-                stuck = (candidate.state.having(slot, v) for v in sources if names[row.target] != v)
-                if any(not differs(state) for state in stuck):
-                    return (rule,)
-            if asked:
-                break
-        return tuple(own[-1:])
+            stuck = (candidate.state.having(slot, v) for v in sources if names[row.target] != v)
+            if any(not differs(state) for state in stuck):
+                return (rule,), True
+        return tuple(own[-1:]), False
 
     def _clauses_of_fields(self, state: State, output: Output, message: Message) -> Iterator[str]:
         """Give the clauses of the layouts and choices that fields of a reply break."""
@@ -1241,12 +1241,18 @@ class Oracle:
             clauses = dict.fromkeys(self.model.protocol.registers[register].clauses)
         if found is None:
             cause: tuple[str, ...] = (subject, *clauses)
+            shared = [subject, *clauses]
         else:
             # what a register shows hangs together; where no reply is due, any is one too many
             whole = subject in self.model.views
             due = any(each.layout for each in found.nearest)
             kind = () if whole or fields or not due else (self._kind(observed),)
             cause = (subject, found.demand, *(() if whole else fields), *kind)
+            shared = [f"{subject} {found.demand}", *(f"{subject} {c}" for c in found.clauses[:1])]
+            if found.by_rule:
+                # the same rule, the same fields, the same kind: it went the same way
+                odd = " ".join((*fields, *kind))
+                shared += [f"{subject} {rule} {odd}" for rule in found.rules[:1]]
         return Mismatch(
             exchange,
             subject,
@@ -1255,6 +1261,7 @@ class Oracle:
             () if found is None else found.rules,
             tuple(clauses),
             " ".join(dict.fromkeys(cause)),
+            tuple(dict.fromkeys(shared)),
             differing=fields,
             silent=found is not None and found.nearest[0].silent,
         )

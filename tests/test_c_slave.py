@@ -352,7 +352,7 @@ BROKEN = {
     "OUTPUTS_IN_SAFEOP": ("DRV-23", "ds402/commands_in_SAFEOP_after_OP/SWITCH_ON_DISABLED"),
     "PDO_LENGTH_UNCHECKED": ("PD-04", "process_data/too_long_sync_manager_2"),
     "RESET_BY_LEVEL": ("DRV-18", "ds402/reset_held/SWITCH_ON_DISABLED"),
-    "QUICK_STOP_IGNORED": ("DRV-15", "ds402/shutdown/enable_operation/quick_stop"),
+    "QUICK_STOP_IGNORED": ("DRV-14", "ds402/shutdown/enable_operation/quick_stop"),
 }
 """The clause that a finding of each mistake names first, and a case, where all are there at once.
 

@@ -42,6 +42,7 @@ JUDGED = (
             (TraceLine(3, "MainDevice", "asks"), TraceLine(4, "SubDevice", "answers")),
             "0.0 ms",
             "a signature",
+            ("a cause", "another"),
             "a flag",
             ("al.b",),
             "case.x",

@@ -516,12 +516,13 @@ FOUND = {
 def found(result: Result) -> dict[str, set[tuple[str, str]]]:
     """Give the rows of FOUND that explain each finding."""
     return {
-        finding.verdict.case: {
+        verdict.case: {
             (clause, word)
             for clause, word in FOUND
-            if clause == finding.verdict.broken and word in finding.verdict.observed
+            if clause == verdict.broken and word in verdict.observed
         }
         for finding in result.findings()
+        for verdict in (finding.verdict, *(kind for kind, _ in finding.kinds))
     }
 
 
@@ -583,19 +584,3 @@ def test_every_finding_of_canopen_is_short() -> None:
     assert short
     # 4 lines of bring-up, two looks at the entry and its neighbours, two exchanges
     assert max(short.values()) <= 4 + 2 * 3 * 2 + 2 * 2, short
-
-
-def test_without_power_cycles_nothing_is_blamed_for_sure() -> None:
-    adapter = make("reference", {"fault": "refused_without_error"})
-    model = Model(load_device("reference"))
-    outcomes = {}
-    for sure in (True, False):
-        description = replace(adapter.describe(), power_cycles=sure)
-        runner = Runner(model, adapter, description)
-        cases = (c for c in all_cases(model, NO_LIMITS, "quick") if c.layer == "al")
-        verdicts = [runner.judge(case) for case in cases]
-        outcomes[sure] = {v.outcome for v in verdicts}
-    assert Outcome.FAIL in outcomes[True]
-    assert Outcome.FAIL not in outcomes[False]
-    (reason,) = {v.reason for v in verdicts if v.outcome is Outcome.WARNING}
-    assert "not power cycled" in reason

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.annotations import annotation
-from ecatspec.conformance.marks import needs, plural
+from ecatspec.conformance.marks import kinds, needs, plural
 from ecatspec.conformance.verdict import BLAMING, Outcome
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ def _line(result: Result, finding: Finding) -> str:
     said += [f"expected: {words}" for words in verdict.expected[:3]]
     if verdict.observed:
         said.append(f"observed: {verdict.observed}")
+    said += [f"seen too: {kind}" for kind in kinds(finding)[:3]]
     if verdict.depends:
         said.append(needs(verdict))
     if result.set_up is not None:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from ecatspec.conformance.coverage import Shown, coverage
 from ecatspec.conformance.drawings.graph import rule_words, states_place, states_words
 from ecatspec.conformance.drawings.svg import drawing
-from ecatspec.conformance.marks import needs, parts, plural
+from ecatspec.conformance.marks import kinds, needs, parts, plural
 from ecatspec.conformance.pages import render
 from ecatspec.conformance.reached import Mark, lacking, reached
 from ecatspec.conformance.reports import judged, risks
@@ -147,6 +147,7 @@ def _finding(name: str, finding: Finding, result: Result, model: Model) -> View:
         "at": verdict.at,
         "identity": verdict.signature,
         "depends": needs(verdict) if verdict.depends else "",
+        "kinds": kinds(finding),
         "also": f"the same in {plural(cases - 1, 'other case')}" if cases > 1 else "",
         "replay": result.set_up and result.set_up.command(verdict),
         "trace": _trace(verdict, model),

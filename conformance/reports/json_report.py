@@ -92,6 +92,17 @@ class Brief(_Part, frozen=True):
     flag: str
 
 
+class KindPart(_Part, frozen=True):
+    """Something that was observed of a cause too, and the cases that show it."""
+
+    signature: str
+    title: str
+    case: str
+    clause: str
+    """The clause that was broken."""
+    cases: Count
+
+
 class FindingPart(Brief, frozen=True):
     """One cause: the verdict with the shortest trace, and the other cases that show the same."""
 
@@ -107,6 +118,8 @@ class FindingPart(Brief, frozen=True):
     signature: str
     trace: list[Line]
     also: list[str]
+    kinds: list[KindPart]
+    """What else was observed of the same cause."""
     depends: list[str]
     """The ways (`choice=alternative`) found earlier in the run without which it is no finding."""
     replay: str
@@ -227,6 +240,10 @@ def _finding(finding: Finding, result: Result, protocol: Protocol) -> FindingPar
         signature=verdict.signature,
         trace=[Line(line.time, line.who, line.what, line.data.hex()) for line in verdict.trace],
         also=sorted(finding.also),
+        kinds=[
+            KindPart(kind.signature, kind.title, kind.case, kind.broken, count)
+            for kind, count in finding.kinds
+        ],
         depends=list(verdict.depends),
         replay=verdict.again,
         command=None if result.set_up is None else result.set_up.command(verdict),

@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.conformance.coverage import Covered, Shown, coverage
-from ecatspec.conformance.marks import needs, plain, plural
+from ecatspec.conformance.marks import kinds, needs, plain, plural
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.conformance.version import version
@@ -156,6 +156,7 @@ def _lines(finding: Finding, result: Result) -> Iterable[str]:
     if verdict.depends:
         yield f"depends: {needs(verdict)}"
     yield from (f"{line.time} us {line.who} {line.what}" for line in verdict.trace[-_LINES:])
+    yield from (f"seen too: {kind}" for kind in kinds(finding)[:_LINES])
     if finding.also:
         yield f"also in {plural(len(finding.also), 'other case')}"
     if result.set_up is not None:

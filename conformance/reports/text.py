@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.marks import needs, parts, plain, plural
+from ecatspec.conformance.marks import kinds, needs, parts, plain, plural
 from ecatspec.conformance.reports import judged, risks
 from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
 from ecatspec.generators.families import NOTES
@@ -149,6 +149,7 @@ def _finding(head: str, finding: Finding, protocol: Protocol, again: str) -> Ite
     yield from _labelled("identity", [verdict.signature] if verdict.signature else [])
     if verdict.trace:
         yield from _chart(verdict)
+    yield from _labelled("seen too", [f"- {kind}" for kind in kinds(finding)])
     if finding.also:
         others = plural(len(finding.also), "other case")
         yield from _labelled("also", [f"{others} {_show(len(finding.also))} the same"])

@@ -134,7 +134,7 @@ class Player:
             tuple(self._trace),
             f"{self._time / 1000:.1f} ms",
             f"{fault.symbol} {' '.join(sorted(clauses))}",
-            "".join(test.flags[:1]),
+            flag="".join(test.flags[:1]),
         )
 
     # --- one step ---------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from causes import CANOPEN, told
 
 from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapter import AdapterError, Description
@@ -542,6 +543,9 @@ def test_canopen_has_the_findings_that_were_checked_by_hand_and_no_other() -> No
     explained = found(canopen())
     assert {case for case, rows in explained.items() if not rows} == set()
     assert set(FOUND) - set().union(*explained.values()) == set()
+    causes, findings = told()[CANOPEN]
+    assert len({text.partition(" ")[0] for text in FOUND.values()}) == causes
+    assert len(canopen().findings()) == findings
 
 
 @alone

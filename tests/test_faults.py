@@ -233,8 +233,8 @@ def test_a_run_and_its_vectors_find_the_fault(name: str) -> None:
             first = False
             places = [n for n, c in enumerate(verdict.clauses) if c in fault.clauses]
             place = min(places, default=len(verdict.clauses))
-            assert (place > 2) == (name in LATER), verdict.clauses  # noqa: PLR2004
-            assert (0 < place <= 2) == (name in SECOND), verdict.clauses  # noqa: PLR2004
+            assert (place > 2) == (name in LATER), verdict.clauses
+            assert (0 < place <= 2) == (name in SECOND), verdict.clauses
         if verdict.outcome in FOUND and not set(verdict.clauses) & set(fault.clauses):
             other.add(verdict.clauses)
         elif verdict.outcome in FOUND or found:

@@ -24,14 +24,14 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
 )
-from ecatspec.generators.play import play
+from ecatspec.generators.play import Reached, at_power_on
 from ecatspec.generators.process_data import holds
 from ecatspec.generators.transfers import download, upload
 from ecatspec.model.dictionary import encode_value
 from ecatspec.model.esc import PROCESS_DATA
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.once import once
-from ecatspec.model.subdevice import VirtualSubDevice, power_on
+from ecatspec.model.subdevice import power_on
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -74,19 +74,19 @@ def drive_cover(model: Model, _: Limits) -> Iterator[Case]:
     yield from _modes(model)
     if not is_driven(model):
         return
-    device = VirtualSubDevice(model.protocol)
-    ways = _ways(model, device)
+    reached = _Reached(model)
+    ways = _ways(model, reached)
     for way in ways.values():
         for symbol in _symbols(model):
             yield _case(model, (*way, symbol))
     shortest = _shortest(model, ways)
     for way in shortest.values():
-        for kept in _keeping(model, device, way):
+        for kept in _keeping(model, reached, way):
             for symbol in _words(model):
                 yield _case(model, (*way, kept, symbol))
         for symbol in _others(model):
             yield _case(model, (*way, symbol))
-    yield from _up_again(model, device, shortest)
+    yield from _up_again(model, reached, shortest)
     yield from _leaving(model, shortest)
     yield from _options(model, shortest)
     yield from _mapped_modes(model)
@@ -148,30 +148,44 @@ def _symbols(model: Model) -> Iterator[Symbol]:
         yield event, Happen(f"ds402.{event}")
 
 
-def _ways(model: Model, device: VirtualSubDevice) -> dict[tuple[object, ...], Way]:
+class _Reached:
+    """Where ways of commands lead from OP; a way goes on from where all but its last leads."""
+
+    def __init__(self, model: Model) -> None:
+        self._model = model
+        start = at_power_on(model).by(model, way_to(model, "OP"))
+        self._found: dict[tuple[str, ...], Reached] = {(): start}
+
+    def state(self, way: Way) -> tuple[object, ...]:
+        """Give the state of the drive, its power and the cause of its fault."""
+        device = self._reached(way).device
+        slots = ("ds402.state", "ds402.mains", "ds402.cause")
+        return tuple(device.state.slots[self._model.slots[name]] for name in slots)
+
+    def _reached(self, way: Way) -> Reached:
+        names = tuple(name for name, _ in way)
+        if names not in self._found:
+            self._found[names] = self._reached(way[:-1]).by(self._model, (way[-1][1],))
+        return self._found[names]
+
+
+def _ways(model: Model, reached: _Reached) -> dict[tuple[object, ...], Way]:
     """Give the shortest way to each state of the drive, its power and the cause of its fault."""
     ways: dict[tuple[object, ...], Way] = {}
     work: deque[Way] = deque([()])
     while work:
         way = work.popleft()
-        key = _reached(model, device, way)
+        key = reached.state(way)
         if key not in ways:
             ways[key] = way
             work.extend((*way, symbol) for symbol in _symbols(model))
     return ways
 
 
-def _reached(model: Model, device: VirtualSubDevice, way: Way) -> tuple[object, ...]:
-    device.reset()
-    play(model, device, (*way_to(model, "OP"), *_of(way)))
-    slots = ("ds402.state", "ds402.mains", "ds402.cause")
-    return tuple(device.state.slots[model.slots[name]] for name in slots)
-
-
-def _keeping(model: Model, device: VirtualSubDevice, way: Way) -> list[Symbol]:
+def _keeping(model: Model, reached: _Reached, way: Way) -> list[Symbol]:
     """Give the control words that leave the drive in its state."""
-    state = _reached(model, device, way)
-    return [symbol for symbol in _words(model) if _reached(model, device, (*way, symbol)) == state]
+    state = reached.state(way)
+    return [symbol for symbol in _words(model) if reached.state((*way, symbol)) == state]
 
 
 def _shortest(model: Model, ways: dict[tuple[object, ...], Way]) -> dict[str, Way]:
@@ -224,14 +238,14 @@ def _reads(model: Model, ways: dict[str, Way]) -> Iterator[Case]:
             yield _in(model, f"status_by_sdo/{name}", (*_of(way), upload(*status)))
 
 
-def _up_again(model: Model, device: VirtualSubDevice, ways: dict[str, Way]) -> Iterator[Case]:
+def _up_again(model: Model, reached: _Reached, ways: dict[str, Way]) -> Iterator[Case]:
     """Yield the way up after each transition: a state is the same however it was reached."""
     known = commands(model)
     up = tuple(WriteOutputs({CONTROL: known[name]}) for name in _UP)
     for name, way in ways.items():
-        before = _reached(model, device, way)
+        before = reached.state(way)
         for symbol in _symbols(model):
-            if _reached(model, device, (*way, symbol)) != before:
+            if reached.state((*way, symbol)) != before:
                 yield _in(model, f"up_after/{name}/{symbol[0]}", (*_of((*way, symbol)), *up))
 
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 from ecatspec.generators.bringup import WAY_UP, request, way_to
 from ecatspec.generators.case import Case, Happen, Stimulus, WriteOutputs
 from ecatspec.generators.drive_cover import CONTROL, STATUS, commands, is_driven
-from ecatspec.generators.play import play
+from ecatspec.generators.play import Reached, at_power_on
 from ecatspec.generators.transfers import upload
-from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,10 +27,9 @@ _AFTERWARDS = ("disable_voltage", "fault_reset", "disable_voltage", "shutdown", 
 
 def event_cover(model: Model, _: Limits) -> Iterator[Case]:
     """Yield a case for each row of events in each AL state; the way up goes on behind them."""
-    device = VirtualSubDevice(model.protocol)
     for state in WAY_UP:
         way = () if state == WAY_UP[0] else way_to(model, state)
-        for events in _rows(model, device, way):
+        for events in _rows(model, way):
             names = [event.partition(".")[2] for event in events]
             happened = tuple(Happen(event) for event in events)
             up = (*_look(model, state), *_onwards(model, state))
@@ -41,32 +39,23 @@ def event_cover(model: Model, _: Limits) -> Iterator[Case]:
             yield Case(name, title, "al", (*way, *happened, *up), needs, len(way))
 
 
-def _rows(
-    model: Model, device: VirtualSubDevice, way: tuple[Stimulus, ...]
-) -> Iterator[tuple[str, ...]]:
+def _rows(model: Model, way: tuple[Stimulus, ...]) -> Iterator[tuple[str, ...]]:
     """Yield each event, and rows of them that lead to something new with each."""
     every = sorted(f"{event.machine}.{event.input}" for event in model.locals)
-    seen = {_after(model, device, way)}
-    rows: list[tuple[str, ...]] = [()]
+    start = at_power_on(model).by(model, way)
+    seen = {start.device.state.slots}
+    rows: list[tuple[tuple[str, ...], Reached]] = [((), start)]
     while rows:
-        row = rows.pop(0)
+        row, before = rows.pop(0)
         for event in every:
             longer = (*row, event)
-            reached = _after(model, device, (*way, *(Happen(each) for each in longer)))
-            new = reached not in seen
-            seen.add(reached)
+            reached = before.by(model, (Happen(event),))
+            new = reached.device.state.slots not in seen
+            seen.add(reached.device.state.slots)
             if new or not row:
                 yield longer
             if new and len(longer) < _MOST:
-                rows.append(longer)
-
-
-def _after(
-    model: Model, device: VirtualSubDevice, stimuli: tuple[Stimulus, ...]
-) -> tuple[object, ...]:
-    device.reset()
-    play(model, device, stimuli)
-    return device.state.slots
+                rows.append((longer, reached))
 
 
 def _look(model: Model, state: str) -> Iterator[Stimulus]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.case import (
@@ -20,6 +21,8 @@ from ecatspec.generators.case import (
 from ecatspec.generators.process_data import image, settings
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.once import once
+from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.scope import AREA_PARTS
 
 if TYPE_CHECKING:
@@ -27,12 +30,30 @@ if TYPE_CHECKING:
 
     from ecatspec.generators.case import Stimulus
     from ecatspec.model.compiled import Model
-    from ecatspec.model.subdevice import VirtualSubDevice
 
 _, MAIN_IN = SYNC_MANAGERS
 _SECOND = 1_000_000
 AWHILE = 0.05
 """Seconds after each stimulus: shorter than a watchdog, longer than what comes by itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reached:
+    """A virtual SubDevice where stimuli brought it, and the words that are written cyclically."""
+
+    device: VirtualSubDevice
+    words: Mapping[str, int] | None = None
+
+    def by(self, model: Model, stimuli: Iterable[Stimulus]) -> Reached:
+        """Give where more stimuli lead; this stays as it is, so that others can begin here too."""
+        device = self.device.kept()
+        return Reached(device, play(model, device, stimuli, self.words))
+
+
+@once
+def at_power_on(model: Model) -> Reached:
+    """Give a virtual SubDevice of these texts that was just switched on."""
+    return Reached(VirtualSubDevice(model.protocol))
 
 
 def play(

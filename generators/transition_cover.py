@@ -18,10 +18,9 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
 )
-from ecatspec.generators.play import play
+from ecatspec.generators.play import Reached, at_power_on
 from ecatspec.generators.process_data import image_size
 from ecatspec.model.esc import AREAS, BOOTSTRAP, PROCESS_DATA, SYNC_MANAGERS
-from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.scope import AREA_PARTS
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from ecatspec.generators.case import Limits
     from ecatspec.model.compiled import Model
+    from ecatspec.model.subdevice import VirtualSubDevice
 
 Symbol = tuple[str, tuple[Stimulus, ...]]
 
@@ -92,16 +92,16 @@ def wrong_settings(model: Model, areas: Mapping[str, str] = AREAS) -> tuple[Symb
 def transition_cover(model: Model, _: Limits) -> Iterator[Case]:
     """Yield a case for every reachable state and every input, shortest way first."""
     alphabet = symbols(model)
-    device = VirtualSubDevice(model.protocol)
     ways: dict[tuple[object, ...], tuple[Symbol, ...]] = {}
-    work: deque[tuple[Symbol, ...]] = deque([()])
+    work: deque[tuple[tuple[Symbol, ...], Reached]] = deque([((), at_power_on(model))])
     while work:
-        way = work.popleft()
-        key = _reached(device, model, way)
+        way, before = work.popleft()
+        reached = before.by(model, way[-1][1]) if way else before
+        key = _key(model, reached.device)
         if key in ways:
             continue
         ways[key] = way
-        work.extend((*way, symbol) for symbol in alphabet)
+        work.extend(((*way, symbol), reached) for symbol in alphabet)
     for way in ways.values():
         for symbol in alphabet:
             yield _case(way, symbol)
@@ -141,9 +141,8 @@ def _case(way: tuple[Symbol, ...], symbol: Symbol) -> Case:
     )
 
 
-def _reached(device: VirtualSubDevice, model: Model, way: tuple[Symbol, ...]) -> tuple[object, ...]:
-    device.reset()
-    play(model, device, (stimulus for _, stimuli in way for stimulus in stimuli))
+def _key(model: Model, device: VirtualSubDevice) -> tuple[object, ...]:
+    """Give what tells the states apart that a device is brought to."""
     slots = [device.state.slots[model.slots[name]] for name in ("al.state", "al.error")]
     fed = device.state.slots[model.slots["process_data.fed"]]
     enabled = tuple(device.esc.register(f"{name}_activation") for name in SYNC_MANAGERS)

@@ -9,6 +9,7 @@ be written, an empty one cannot be read.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 _PROCESS_DATA = 3
@@ -57,6 +58,12 @@ class Buffers:
         self._images = [bytearray(channel.length) for _ in range(channel.buffers)]
         self._writing: int | None = None
         self._reading: int | None = None
+
+    def kept(self) -> Buffers:
+        """Give buffers that are as these are now; neither change with the other."""
+        other = copy(self)
+        other._images = [image.copy() for image in self._images]  # noqa: SLF001
+        return other
 
     @property
     def full(self) -> bool:

@@ -10,6 +10,7 @@ working counter counts when at least one piece was carried out. An access of no 
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -43,9 +44,11 @@ _WATCHDOG = "watchdog_status"
 
 def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
     """Give one field of a register whose content is `raw`, a truth value where the text says so."""
-    bits = next(item for item in protocol.registers[register].fields if item.name == field)
-    value = bits_of(raw, bits.low, bits.high)
-    return bool(value) if isinstance(bits.type, Bool) else value
+    for bits in protocol.registers[register].fields:
+        if bits.name == field:
+            value = bits_of(raw, bits.low, bits.high)
+            return bool(value) if isinstance(bits.type, Bool) else value
+    raise LookupError(f"register {register} has no field {field}")
 
 
 def field_mask(protocol: Protocol, register: str, field: str) -> int:
@@ -78,6 +81,15 @@ def _status_of(model: Model, manager: str) -> _Status:
     return _Status(register.name, register.reset, tuple(masks.items()), last_buffer, event)
 
 
+@once
+def _reset_memory(model: Model) -> bytes:
+    """Give the memory at power-on: the reset values of the registers."""
+    memory = bytearray(model.parameter("memory_size"))
+    for at in model.protocol.registers.values():
+        memory[at.address : at.address + at.size] = at.reset.to_bytes(at.size, "little")
+    return bytes(memory)
+
+
 class Esc:
     """ESC memory of one SubDevice, power-on state."""
 
@@ -86,7 +98,7 @@ class Esc:
         self._model = model
         self._protocol = protocol = model.protocol
         self.size = model.parameter("memory_size")
-        self._memory = bytearray(self.size)
+        self._memory = bytearray(_reset_memory(model))
         self._events = 0
         self._al_control_locked = False
         self._buffers: dict[str, Buffers] = {}
@@ -97,12 +109,17 @@ class Esc:
         self._modes = dict.fromkeys(SYNC_MANAGERS, mailbox) | dict.fromkeys(PROCESS_DATA, buffered)
         self._main_writes = model.row("sync_manager_direction", "main_writes")
         self._writable = [r for r in protocol.registers.values() if r.main is Access.BOTH]
-        self._fmmu_registers = fmmu_registers(protocol)
+        self._fmmu_registers = {r.name: r for r in fmmu_registers(protocol)}
         self._fmmus: tuple[Fmmu, ...] | None = None
         self._both = model.parameter("counter_of_a_read"), model.parameter("counter_of_a_write")
         self._registers_end = max(r.address + r.size for r in protocol.registers.values())
-        for register in protocol.registers.values():
-            self.set_register(register.name, register.reset)
+
+    def kept(self) -> Esc:
+        """Give a memory that is as this one is now; neither changes with the other."""
+        other = copy(self)
+        other._memory = self._memory.copy()  # noqa: SLF001
+        other._buffers = {name: buffers.kept() for name, buffers in self._buffers.items()}  # noqa: SLF001
+        return other
 
     # --- registers by name ------------------------------------------------------------------------
 
@@ -119,7 +136,7 @@ class Esc:
         """Set the raw content of a register."""
         at = self._protocol.registers[name]
         self._memory[at.address : at.address + at.size] = raw.to_bytes(at.size, "little")
-        if at in self._fmmu_registers:
+        if name in self._fmmu_registers:
             self._fmmus = None
 
     # --- the side of the MainDevice ---------------------------------------------------------------
@@ -172,7 +189,7 @@ class Esc:
 
     def _enabled_fmmus(self) -> tuple[Fmmu, ...]:
         if self._fmmus is None:
-            every = (Fmmu.of(r, self.register(r.name)) for r in self._fmmu_registers)
+            every = (Fmmu.of(r, self.register(name)) for name, r in self._fmmu_registers.items())
             self._fmmus = tuple(fmmu for fmmu in every if fmmu.enabled)
         return self._fmmus
 
@@ -322,17 +339,8 @@ class Esc:
         """
         if not length:
             return b""
-        control = self._protocol.registers["al_control"]
-        if _overlap(control, address, length):
-            self._al_control_locked = False
-            self._events &= ~self._al_bit
-        for name in _ALL:
-            if _overlap(self._protocol.registers[f"{name}_activation"], address, length):
-                self._events &= ~self._change_bit
-        if _overlap(self._protocol.registers[_EVENTS], address, length):
-            self.set_register(_EVENTS, self._events)
-        if _overlap(self._protocol.registers[_WATCHDOG], address, length):
-            self._events &= ~self._watchdog_bit
+        if address < self._registers_end:
+            self._look(address, length)
         if not self._touches_buffers(address, length):
             return bytes(self._memory[address : address + length])
         return b"".join(
@@ -341,6 +349,20 @@ class Esc:
             else self._read_piece(owner, low, high - low, main=False) or bytes(high - low)
             for low, high, owner in self._pieces(address, length)
         )
+
+    def _look(self, address: int, length: int) -> None:
+        """Take the events of the registers that the device reads."""
+        registers = self._protocol.registers
+        if _overlap(registers["al_control"], address, length):
+            self._al_control_locked = False
+            self._events &= ~self._al_bit
+        for name in _ALL:
+            if _overlap(registers[f"{name}_activation"], address, length):
+                self._events &= ~self._change_bit
+        if _overlap(registers[_EVENTS], address, length):
+            self.set_register(_EVENTS, self._events)
+        if _overlap(registers[_WATCHDOG], address, length):
+            self._events &= ~self._watchdog_bit
 
     def pdi_write(self, address: int, data: bytes) -> None:
         """Write as the device: fills a mailbox with its last byte. What is refused is lost."""

@@ -7,6 +7,7 @@ takes the first value; conditions of the device are as the texts assume.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -91,6 +92,17 @@ class VirtualSubDevice:
         self._clock = 0
         self._alarms: dict[tuple[str, str], tuple[int, Event]] = {}
         self._show()
+
+    def kept(self) -> VirtualSubDevice:
+        """Give a device that is as this one is now; neither changes with the other.
+
+        What serves its SDO requests in its place is the same for both.
+        """
+        other = copy(self)
+        other.esc = self.esc.kept()
+        other._queue = self._queue.copy()  # noqa: SLF001
+        other._alarms = self._alarms.copy()  # noqa: SLF001
+        return other
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""

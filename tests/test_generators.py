@@ -19,12 +19,17 @@ from ecatspec.generators.bringup import has_process_data
 from ecatspec.generators.case import (
     NO_LIMITS,
     Case,
+    Happen,
     Probe,
     SendFrame,
+    SetUpProcessData,
+    WriteOutputs,
     WriteRegister,
     WriteRegisters,
 )
+from ecatspec.generators.drive_cover import drive_cover
 from ecatspec.generators.families import NOTES
+from ecatspec.generators.play import at_power_on, play
 from ecatspec.generators.process_cover import process_cover
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.suite import GENERATORS, all_cases
@@ -253,6 +258,32 @@ def test_names_are_unique_and_start_with_the_layer(device: str, mailbox: str) ->
 def test_two_generations_are_equal(device: str) -> None:
     for depth in ("quick", "default"):  # those of `exhaustive` have tests of their own
         assert tuple(all_cases(model_of(device), NO_LIMITS, depth)) == cases_of(device, depth)
+
+
+@each_of(["reference-drive"])
+def test_stimuli_lead_on_from_a_device_that_was_kept(device: str) -> None:
+    """As they do from power-on, whatever else began where it was kept."""
+    model = model_of(device)
+    start = at_power_on(model)
+    for case in [*transition_cover(model, NO_LIMITS), *drive_cover(model, NO_LIMITS)][::40]:
+        if not plain(case):
+            continue
+        whole = VirtualSubDevice(model.protocol)
+        words = play(model, whole, case.stimuli)
+        half = len(case.stimuli) // 2
+        for begun in (start.by(model, case.stimuli[:half]),) * 2:
+            found = begun.by(model, case.stimuli[half:])
+            assert found.words == words
+            assert found.device.state == whole.state
+            assert found.device.esc.registers() == whole.esc.registers()
+
+
+def plain(case: Case) -> bool:
+    """Tell whether no stimulus depends on what the device answers."""
+    return all(
+        isinstance(each, WriteRegister | WriteRegisters | WriteOutputs | SetUpProcessData | Happen)
+        for each in case.stimuli
+    )
 
 
 @pytest.mark.parametrize(

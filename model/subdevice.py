@@ -40,6 +40,9 @@ SdoServer: TypeAlias = Callable[[bytes], list[bytes]]
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 _SECOND = 1_000_000
 _BYTE = 8
+_MOST = 4
+"""So many protocols are kept compiled."""
+_MODELS: dict[int, Model] = {}
 
 
 class Quirk(StrEnum):
@@ -69,8 +72,7 @@ class VirtualSubDevice:
     ) -> None:
         """Compile the protocol and power on; `quirks` are mistakes of the layer below the texts."""
         self.quirks = quirks
-        self.model = Model(protocol, assuming=True)
-        self.model.dictionary.close()
+        self.model = _compiled(protocol)
         self._sdo_server = sdo_server
         codec = self.model.codec
         self._request_service = codec.fixed("sdo_request")["service"]
@@ -388,6 +390,21 @@ def with_registers(
         if (raw := registers[low:high]) != before[low:high]:
             state = state.having(slot, int.from_bytes(raw, "little"))
     return state
+
+
+def _compiled(protocol: Protocol) -> Model:
+    """Give what devices of a protocol go by, the same for all: they only ask it.
+
+    It is the same object that is meant: to compare protocols takes as long as to compile one.
+    """
+    model = _MODELS.pop(id(protocol), None)
+    if model is None:
+        model = Model(protocol, assuming=True)
+        model.dictionary.close()
+        if len(_MODELS) == _MOST:
+            del _MODELS[next(iter(_MODELS))]
+    _MODELS[id(protocol)] = model  # which keeps the protocol, so that no other has its number
+    return model
 
 
 def _delivered(taken: Step) -> bool:

@@ -872,3 +872,14 @@ def test_a_register_of_the_device_takes_no_write() -> None:
 )
 def test_what_is_known_of_bytes_is_said(expected: Pattern, words: str) -> None:
     assert typed_words(MODEL, Bytes(None), expected) == words
+
+
+def test_devices_of_one_protocol_share_what_is_compiled_and_nothing_else() -> None:
+    protocol = load_device("reference")
+    first, second = VirtualSubDevice(protocol), VirtualSubDevice(protocol)
+    assert first.model is second.model
+    assert VirtualSubDevice(replace(protocol)).model is not first.model
+    before = second.state
+    first.write(first.model.protocol.registers["al_control"].address, b"\x11\x00")
+    assert first.state != before
+    assert second.state is before

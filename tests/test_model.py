@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ecatspec.generators.bringup import mailbox_settings, request, way_to
-from ecatspec.generators.case import WriteRegister, WriteRegisters
+from ecatspec.generators.case import WriteOutputs, WriteRegister, WriteRegisters
 from ecatspec.generators.play import play
 from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.transfers import download
@@ -883,3 +883,14 @@ def test_devices_of_one_protocol_share_what_is_compiled_and_nothing_else() -> No
     first.write(first.model.protocol.registers["al_control"].address, b"\x11\x00")
     assert first.state != before
     assert second.state is before
+
+
+def test_what_is_to_come_in_a_kept_device_stays_to_come() -> None:
+    model = Model(load_device("reference-drive"))
+    device = VirtualSubDevice(model.protocol)
+    play(model, device, (*way_to(model, "OP"), WriteOutputs({"control_word": 0})))
+    watchdog = ("process_data", "expired")
+    kept = device.kept()
+    device.advance(10)
+    assert not device.awaits(*watchdog)
+    assert kept.awaits(*watchdog)

@@ -324,7 +324,7 @@ def _bare(protocol: Protocol, name: str, scope: Scope, expected: Kind | None) ->
         for alternative in choice.alternatives:
             if alternative.name == name:
                 return AlternativeRef(choice.name, name)
-    if name in _parameters(protocol, scope):
+    if _is_parameter(protocol, scope, name):
         return ParameterOfInput(name)
     if machine is not None:
         if any(variable.name == name for variable in machine.variables):
@@ -362,7 +362,7 @@ def _dotted(protocol: Protocol, path: str, scope: Scope) -> Ref | None:
     owner, _, name = path.partition(".")
     if owner == REPLY and scope.reply is not None and name in frame_fields(protocol, scope.reply):
         return ReplyField(name)
-    if owner == scope.input and name in _parameters(protocol, scope):
+    if owner == scope.input and _is_parameter(protocol, scope, name):
         return ParameterOfInput(name)
     if machine := protocol.machines.get(owner):
         if any(variable.name == name for variable in machine.variables):
@@ -455,6 +455,14 @@ def _parameters(protocol: Protocol, scope: Scope) -> dict[str, Type]:
     for other in origins[1:]:
         common = {name: kind for name, kind in common.items() if name in other}
     return common
+
+
+def _is_parameter(protocol: Protocol, scope: Scope, name: str) -> bool:
+    """Tell whether `_parameters` has a name; most names are in no origin, so the first tells it."""
+    found = None if scope.frame is not None else input_of(protocol, scope)
+    if found is None or found.kind in {"event", "local", "own", "outputs"} or not found.origin:
+        return name in _parameters(protocol, scope)
+    return all(name in _origin(protocol, found.kind, origin) for origin in found.origin)
 
 
 def _origin(protocol: Protocol, kind: str, origin: str) -> dict[str, Type]:

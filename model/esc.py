@@ -13,6 +13,7 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from ecatspec.model.buffers import Buffers, Channel
@@ -108,8 +109,8 @@ class Esc:
         mailbox, buffered = (model.row("sync_manager_mode", row) for row in ("mailbox", "buffered"))
         self._modes = dict.fromkeys(SYNC_MANAGERS, mailbox) | dict.fromkeys(PROCESS_DATA, buffered)
         self._main_writes = model.row("sync_manager_direction", "main_writes")
-        self._writable = [r for r in protocol.registers.values() if r.main is Access.BOTH]
-        self._fmmu_registers = {r.name: r for r in fmmu_registers(protocol)}
+        self._writable = tuple(r for r in protocol.registers.values() if r.main is Access.BOTH)
+        self._fmmu_registers = MappingProxyType({r.name: r for r in fmmu_registers(protocol)})
         self._fmmus: tuple[Fmmu, ...] | None = None
         self._both = model.parameter("counter_of_a_read"), model.parameter("counter_of_a_write")
         self._registers_end = max(r.address + r.size for r in protocol.registers.values())

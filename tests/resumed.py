@@ -5,19 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter
 from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.session import NOTHING, Session
-from ecatspec.model.buffers import Buffers
+from ecatspec.model.buffers import Buffers, Channel
+from ecatspec.model.compiled import Model
 from ecatspec.model.esc import Esc
 from ecatspec.model.oracle import Oracle
+from ecatspec.model.state import State
 from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping
 
     from ecatspec.generators.case import Stimulus
-    from ecatspec.model.compiled import Model
     from ecatspec.model.values import ObjectKey
 
 _OWN: Final = tuple(item.name for item in fields(Session) if item.name not in {"adapter", "model"})
@@ -42,11 +44,20 @@ class _Kept:
     variables: dict[str, object]
 
 
+_PARTS: Final = (VirtualAdapter, VirtualSubDevice, Esc, Buffers, Seen)
+_STAYS: Final = frozenset(
+    {type(None), bool, int, float, str, bytes, tuple, frozenset, State, Channel, Model, Description}
+)
+"""Most of what is looked at; the other kinds take longer to be told apart."""
+
+
 def _taken(thing: object) -> object:
     """Give a copy of what changes in a virtual device; all else is what it was."""
+    if type(thing) in _STAYS:
+        return thing
+    if isinstance(thing, _PARTS):
+        return _Kept(thing, {name: _taken(value) for name, value in vars(thing).items()})
     match thing:
-        case VirtualAdapter() | VirtualSubDevice() | Esc() | Buffers() | Seen():
-            return _Kept(thing, {name: _taken(value) for name, value in vars(thing).items()})
         case list():
             return [bytearray(each) if isinstance(each, bytearray) else each for each in thing]
         case dict():
@@ -61,6 +72,8 @@ def _taken(thing: object) -> object:
 
 def _given(thing: object) -> object:
     """Put back what `_taken` gave, which stays as it is."""
+    if type(thing) in _STAYS:
+        return thing
     match thing:
         case _Kept(part, variables):
             vars(part).update({name: _given(value) for name, value in variables.items()})

@@ -11,7 +11,7 @@ from hypothesis import settings
 ROOT = Path(__file__).resolve().parent.parent
 
 # Most of what is made stays, so that to look for garbage as often as usual finds little.
-gc.set_threshold(100_000, 20, 100)
+gc.set_threshold(2_000_000, 50, 100)
 
 # No deadline: a first call may compile texts. In CI a failure must come back on the next run.
 settings.register_profile(
@@ -21,6 +21,13 @@ settings.register_profile(
     derandomize=bool(os.environ.get("CI")),
 )
 settings.load_profile("ecatspec")
+
+
+def pytest_sessionfinish() -> None:
+    """Look for garbage until there is none; pytest looks five times through all that is kept."""
+    while gc.collect():
+        pass
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -490,12 +490,13 @@ class Model:
     def _field(self, slot: int, fields: tuple[RegisterField, ...], name: str) -> Getter:
         bits = next(item for item in fields if item.name == name)
         truth = isinstance(bits.type, Bool)
+        low, mask = bits.low, bits_of(-1, bits.low, bits.high)
 
         def field(environment: Environment) -> Value:
             value = environment.slots[slot]
             if not isinstance(value, int):
                 return UNKNOWN
-            content = bits_of(value, bits.low, bits.high)
+            content = value >> low & mask
             return bool(content) if truth else content
 
         return field

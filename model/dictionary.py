@@ -372,8 +372,9 @@ def _of_known(function: Function) -> Function:
     """Give the same function, whose answer is unknown where it is not known of what object."""
 
     def ask(environment: Environment, arguments: tuple[Value, ...]) -> Value:
-        if any(isinstance(place, Pattern) for place in arguments[:2]):
-            return UNKNOWN
+        for place in arguments[:2]:
+            if isinstance(place, Pattern):
+                return UNKNOWN
         return function(environment, arguments)
 
     return ask

@@ -171,6 +171,10 @@ def _junction(parts: list[Getter], *, decisive: bool) -> Getter:
 
 
 def _equality(left: Getter, right: Getter) -> Getter:
+    fixed = getattr(right, "value", UNKNOWN)
+    if not isinstance(fixed, Pattern):
+        return _equality_with(left, fixed)
+
     def equality(environment: Environment) -> Value:
         first, second = left(environment), right(environment)
         if isinstance(first, Pattern):
@@ -179,6 +183,18 @@ def _equality(left: Getter, right: Getter) -> Getter:
             possible = isinstance(first, Pattern) or second.admits(first)
             return UNKNOWN if possible else False
         return first == second
+
+    return equality
+
+
+def _equality_with(left: Getter, fixed: Value) -> Getter:
+    """Most comparisons are with a constant."""
+
+    def equality(environment: Environment) -> Value:
+        value = left(environment)
+        if isinstance(value, Pattern):
+            return UNKNOWN if value.admits(fixed) else False
+        return value == fixed
 
     return equality
 
@@ -233,6 +249,12 @@ def _as_ranges(value: Value) -> tuple[tuple[int, int], ...] | None:
 
 
 def _call(function: Function, arguments: list[Getter]) -> Getter:
+    if len(arguments) == 1:
+        (only,) = arguments
+        return lambda environment: function(environment, (only(environment),))
+    if len(arguments) == 2:  # noqa: PLR2004
+        first, second = arguments
+        return lambda environment: function(environment, (first(environment), second(environment)))
     return lambda environment: function(
         environment, tuple(argument(environment) for argument in arguments)
     )

@@ -34,7 +34,12 @@ class Pattern:
             return True
         if isinstance(value, bytes | str | Pattern):
             return False
-        return value != self.excluded and any(low <= value <= high for low, high in self.ranges)
+        if value == self.excluded:
+            return False
+        for low, high in self.ranges:  # noqa: SIM110  it is asked often, and a loop is faster
+            if low <= value <= high:
+                return True
+        return False
 
     def _admits_bytes(self, value: bytes, lengths: tuple[int, int]) -> bool:
         if not lengths[0] <= len(value) <= lengths[1]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import pytest
 from resumed import resumed
@@ -19,6 +19,7 @@ from ecatspec.generators.boundary_cover import BoundaryCases, boundary_cases, bo
 from ecatspec.generators.bringup import way_to
 from ecatspec.generators.case import NO_LIMITS, Probe, SendFrame
 from ecatspec.generators.play import play
+from ecatspec.model import boundaries
 from ecatspec.model.boundaries import Boundaries, Boundary
 from ecatspec.model.comparisons import Side
 from ecatspec.model.compiled import Model
@@ -30,6 +31,8 @@ from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import parts_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from ecatspec.spec.language.ir import Expression, Protocol, Range
 
 pytestmark = pytest.mark.xdist_group("boundaries")
@@ -59,15 +62,28 @@ FAULTS = [
 ]
 
 
+class Kept(Boundaries):
+    """Boundaries that keep what was found, so that the solver finds it once for all tests."""
+
+    made: ClassVar[dict[str, Kept]] = {}
+
+    def found(self) -> Iterator[Boundary]:
+        self.made[self.protocol.name] = self
+        self.vectors = tuple(super().found())
+        return iter(self.vectors)
+
+
 @cache
 def covered(device: str) -> BoundaryCases:
-    return boundary_cases(Model(load_device(device)), () if device == DEVICE else SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(boundaries, "Boundaries", Kept)
+        return boundary_cases(Model(load_device(device)), () if device == DEVICE else SMALL)
 
 
-@cache
 def vectors() -> tuple[tuple[Boundary, ...], Boundaries]:
-    boundaries = Boundaries(load_device(DEVICE), SMALL)
-    return tuple(boundaries.found()), boundaries
+    covered(DEVICE)
+    made = Kept.made[DEVICE]
+    return made.vectors, made
 
 
 # --- vectors --------------------------------------------------------------------------------------
@@ -126,11 +142,11 @@ def test_one_side_takes_the_rule_and_the_other_does_not() -> None:
 
 
 def test_what_lies_in_no_input_is_left_out_with_its_reason() -> None:
-    _, boundaries = vectors()
-    reasons = boundaries.reasons()
-    assert sum(reasons.values()) == len(boundaries.left_out)
+    _, made = vectors()
+    reasons = made.reasons()
+    assert sum(reasons.values()) == len(made.left_out)
     assert reasons["it depends on nothing that the MainDevice sends"]
-    assert all(each.reason for each in boundaries.left_out)
+    assert all(each.reason for each in made.left_out)
 
 
 # --- cases ----------------------------------------------------------------------------------------

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
-from urllib.parse import quote
 
 from ecatspec.conformance.annotations import annotation
-from ecatspec.conformance.version import version
+from ecatspec.conformance.sarif import log, place
 from ecatspec.spec.language.diagnostics import Code
 
 if TYPE_CHECKING:
@@ -19,11 +17,6 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.diagnostics import Diagnostic
 
     Form = Callable[[Sequence["Checked"]], str]
-
-_SARIF: Final = "2.1.0"
-_SCHEMA: Final = "https://json.schemastore.org/sarif-2.1.0.json"
-_ROOT: Final = "%SRCROOT%"
-"""What readers of SARIF call the folder of the checkout."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,51 +74,19 @@ def _entry(checked: Checked) -> dict[str, object]:
 
 def _sarif(files: Sequence[Checked]) -> str:
     codes = list(Code)
-    driver = {
-        "name": "ecatspec",
-        "version": version(),
-        "rules": [{"id": c.name, "shortDescription": {"text": c.value}} for c in codes],
-    }
     results = [
         {
             "ruleId": diagnostic.code.name,
             "ruleIndex": codes.index(diagnostic.code),
             "level": "error",
             "message": {"text": f"{diagnostic.message}; {diagnostic.remedy}"},
-            "locations": [
-                {
-                    "physicalLocation": {
-                        "artifactLocation": _location(diagnostic.at.file),
-                        "region": {
-                            "startLine": max(1, diagnostic.at.line),
-                            "startColumn": max(1, diagnostic.at.column),
-                        },
-                    }
-                }
-            ],
+            "locations": [place(diagnostic.at.file, diagnostic.at.line, diagnostic.at.column)],
         }
         for checked in files
         for diagnostic in checked.diagnostics
     ]
-    errors = [
-        {"level": "error", "message": {"text": checked.error}} for checked in files if checked.error
-    ]
-    run = {
-        "tool": {"driver": driver},
-        "columnKind": "unicodeCodePoints",
-        "invocations": [
-            {"executionSuccessful": not errors, "toolExecutionNotifications": errors},
-        ],
-        "results": results,
-    }
-    return _dumped({"$schema": _SCHEMA, "version": _SARIF, "runs": [run]})
-
-
-def _location(file: str) -> dict[str, object]:
-    path = Path(file)
-    if path.is_absolute():
-        return {"uri": path.as_uri()}
-    return {"uri": quote(path.as_posix()), "uriBaseId": _ROOT}
+    errors = [checked.error for checked in files if checked.error]
+    return log({code.name: code.value for code in codes}, results, errors)
 
 
 def _github(files: Sequence[Checked]) -> str:

@@ -121,6 +121,7 @@ def cli(context: click.Context) -> int:
 _FILES: Final = {
     "html": "Write one page for people, which needs nothing else.",
     "junit": "Write JUnit XML for build servers, one test for each clause.",
+    "sarif": "Write SARIF 2.1.0 for code scanning, one result for each finding.",
 }
 """Reports that are written to a file, and the help of their options."""
 

@@ -779,3 +779,97 @@ def test_reports_are_loaded_when_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib, "import_module", note)
     REPORTS["json"]((), PROTOCOL)
     assert asked == ["ecatspec.conformance.reports.json_report"]
+
+
+# --- all forms together ---------------------------------------------------------------------------
+
+OTHER = replace(FAIL, case="al/x", signature="other", causes=("b", "c"), clauses=("AL-09",))
+SAME = replace(OTHER, case="al/y", signature="another", causes=("c", "d"), title="y, but no")
+WARNED = replace(FAIL, case="al/w", outcome=Outcome.WARNING, signature="w", clauses=("AL-10",))
+KNOWN = replace(FAIL, case="al/k", outcome=Outcome.KNOWN, signature="k", clauses=("AL-11",))
+EVERY = result(PASS, FAIL, LONGER, OTHER, SAME, WARNED, KNOWN, CRASH)
+
+
+def test_all_forms_count_the_same_findings() -> None:
+    made = {name: REPORTS[name]((EVERY,), PROTOCOL) for name in REPORTS}
+    findings = EVERY.findings()
+    assert [finding.verdict.case for finding in findings] == [
+        "sdo/7",
+        "al/refused/1",
+        "al/x",
+        "al/w",
+        "al/k",
+    ]
+    assert ": 5 findings" in made["text"]
+    assert len(re.findall(r"^\d+\. ", made["text"], re.MULTILINE)) == len(findings)
+    (data,) = json.loads(made["json"])["results"]
+    assert len(data["findings"]) == len(findings)
+    assert made["html"].count("<article ") == len(findings)
+    assert len(made["github"].splitlines()) == len(findings)
+    (run,) = json.loads(made["sarif"])["runs"]
+    assert len(run["results"]) == len(findings)
+    # a test for each clause that is broken, and the run for what breaks none
+    assert ET.fromstring(made["junit"]).get("failures") == "3"
+    levels = [found["level"] for found in run["results"]]
+    assert levels == ["error", "error", "error", "warning", "note"]
+
+
+def test_what_else_was_seen_of_a_cause_is_told_with_it() -> None:
+    (finding,) = result(OTHER, SAME, SAME).findings()
+    assert [(kind.case, count) for kind, count in finding.kinds] == [("al/y", 2)]
+    assert finding.also == ("al/y", "al/y")
+    said = "y, but no [AL-09]: al/y, 2 cases"
+    plain = " ".join(text(result(OTHER, SAME, SAME)).split())
+    assert f"seen too - {said}" in plain
+    for name in ("html", "junit", "sarif", "github"):
+        assert said in REPORTS[name]((result(OTHER, SAME, SAME),), PROTOCOL).replace("%2C", ",")
+    (data,) = json.loads(REPORTS["json"]((result(OTHER, SAME, SAME),), PROTOCOL))["results"]
+    assert data["findings"][0]["kinds"] == [
+        {
+            "signature": "another",
+            "title": "y, but no",
+            "case": "al/y",
+            "clause": "AL-09",
+            "cases": 2,
+        }
+    ]
+
+
+def test_causes_are_put_together_over_others() -> None:
+    one, two, three = (
+        replace(FAIL, signature=name, causes=causes)
+        for name, causes in (("1", ("a",)), ("2", ("b",)), ("3", ("a", "b")))
+    )
+    assert len(result(one, two).findings()) == 2
+    assert len(result(one, two, three).findings()) == 1
+    assert len(result(one, replace(three, outcome=Outcome.WARNING)).findings()) == 2
+
+
+def test_sarif_names_the_clause_its_place_and_the_identity(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def first() -> dict[str, Any]:
+        (run,) = json.loads(REPORTS["sarif"]((result(FAIL, LONGER),), PROTOCOL))["runs"]
+        (found,) = run["results"]
+        assert run["tool"]["driver"]["rules"][found["ruleIndex"]] == {
+            "id": "AL-08",
+            "shortDescription": {"text": CLAUSE.wording},
+        }
+        assert isinstance(found, dict)
+        return found
+
+    found = first()
+    assert found["partialFingerprints"] == {"ecatspec/identity": "same cause"}
+    assert (found["occurrenceCount"], found["ruleId"]) == (2, "AL-08")
+    assert "--replay al/refused/1" in found["message"]["text"]
+    (where,) = found["locations"]
+    assert where == {"logicalLocations": [{"fullyQualifiedName": "al/refused/1"}]}
+    file = tmp_path / CLAUSE.at.file
+    file.parent.mkdir(parents=True)
+    file.write_text("", encoding="utf-8")
+    (where,) = first()["locations"]
+    place = where["physicalLocation"]
+    assert place["artifactLocation"]["uri"] == CLAUSE.at.file
+    assert place["region"]["startLine"] == CLAUSE.at.line

@@ -47,5 +47,6 @@ REPORTS: Final[Mapping[str, Report]] = MappingProxyType(
         "junit": partial(_make, "junit_report"),
         "html": partial(_make, "html_report"),
         "github": partial(_make, "github_report"),
+        "sarif": partial(_make, "sarif_report"),
     }
 )

@@ -229,13 +229,14 @@ def run(
     if replay and (results is not None or resume):
         _refuse("one case is no run that could be kept or resumed; leave out --replay")
     protocol = load(device, mailbox)
+    accepted = known_deviations.of(known, protocol.name)
     options = {
         "depth": depth,
         "seed": seed,
         "mailbox": mailbox,
         "only": _layers(only),
         "replay": replay,
-        "known": known,
+        "known": accepted,
         "choices": choices,
         "hang_timeout": hang_timeout,
     }
@@ -244,7 +245,6 @@ def run(
     alone = workers == 1 and not cluster
     if not alone and (replay or (workers > 1 and cluster)):
         _refuse("--workers, --cluster and --replay exclude each other; give one of them")
-    accepted = known_deviations.of(known, protocol.name)
     with _written(reports) as write, _drafted(write_known) as drafted:
         if alone:
             result = _run(device, dut, options)

@@ -73,7 +73,7 @@ class Accepted:
                 yield f"known, and did not occur: {each.finding} ({each.reason}); {hint}"
 
 
-_NOTHING: Final = Accepted()
+NOTHING: Final = Accepted()
 
 
 def of(path: str, device: str) -> Accepted:
@@ -85,7 +85,7 @@ def of(path: str, device: str) -> Accepted:
     """
     if "\0" in path:
         raise UserError(f"{path!a} is no path; give that of a file of known deviations")
-    return read(Path(path), device, datetime.now(UTC).date()) if path else _NOTHING
+    return read(Path(path), device, datetime.now(UTC).date()) if path else NOTHING
 
 
 def read(path: Path, device: str, today: date) -> Accepted:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
-from ecatspec.conformance import known as known_deviations
 from ecatspec.conformance.adapter import AdapterError, DeviceFault, Unheard
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.coverage import extent_of
 from ecatspec.conformance.devices import UserError, load, nearest
+from ecatspec.conformance.known import NOTHING
 from ecatspec.conformance.marks import headline
 from ecatspec.conformance.results import Basis
 from ecatspec.conformance.session import Deviation, InconclusiveError, Session
@@ -63,6 +63,7 @@ from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.conformance.known import Accepted
     from ecatspec.conformance.results import Journal
     from ecatspec.conformance.steps import Crew, Step
     from ecatspec.generators.finite_cover import Complete
@@ -714,7 +715,7 @@ def run_device(
     only: tuple[str, ...] = (),
     hang_timeout: float = HANG_TIMEOUT,
     replay: str = "",
-    known: str = "",
+    known: Accepted = NOTHING,
     choices: tuple[str, ...] = (),
     keep: Callable[[Basis], Journal | None] | None = None,
     crew: Crew | None = None,
@@ -723,8 +724,8 @@ def run_device(
     """Run everything against one device under test; Ctrl-C ends with what was found so far.
 
     `replay` names one case, or is the token of one: only that is run. `only` names the layers that
-    are tried, none: all. `known` is the path of a file of known deviations, `choices` are ways that
-    the device is said to go (`choice=alternative`). `keep` opens the journal that each verdict goes
+    are tried, none: all. `known` are deviations that are accepted, `choices` ways that the device
+    is said to go (`choice=alternative`). `keep` opens the journal that each verdict goes
     to, and from which an interrupted run goes on. A `crew` judges the cases elsewhere.
 
     Raises:
@@ -739,7 +740,6 @@ def run_device(
             raise nearest("layer", layer, tuple(protocol.machines))
     model = Model(protocol)
     given = ways_of(protocol, choices)
-    accepted = known_deviations.of(known, protocol.name)
     if crew is None:
         adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
     else:
@@ -747,7 +747,7 @@ def run_device(
     with contextlib.ExitStack() as stack:
         stack.callback(adapter.close)
         description = adapter.describe()
-        runner = Runner(model, adapter, description, accepted=accepted.reasons, given=given)
+        runner = Runner(model, adapter, description, accepted=known.reasons, given=given)
         runner.crew, runner.only = crew, frozenset(only)
         if keep is not None:
             told = description.to_json()
@@ -761,18 +761,19 @@ def run_device(
                 mailbox,
                 only,
                 choices=choices,
-                known=dict(accepted.reasons),
+                known=dict(known.reasons),
             )
             journal = keep(basis)
             if journal is not None:
                 runner.journal = stack.enter_context(journal)
                 began -= journal.seconds
         guarantees, interrupted = _run_all(runner, depth, seed, replay, progress)
-        set_up = SetUp(device, dut, depth, seed, mailbox, started, known, choices)
+        set_up = SetUp(device, dut, depth, seed, mailbox, started, known.path, choices)
         result = _result(runner, guarantees, began, set_up, interrupted=interrupted)
         whole = not (interrupted or replay or only)
-        notes = accepted.notes({v.signature for v in runner.verdicts}, whole=whole)
-        result = replace(result, notes=(*result.notes, *notes))
+        notes = known.notes({v.signature for v in runner.verdicts}, whole=whole)
+        planned = 0 if replay else result.planned  # one case is not resumed
+        result = replace(result, notes=(*result.notes, *notes), planned=planned)
         if runner.journal is not None and not result.interrupted:
             runner.journal.finish()
     return result

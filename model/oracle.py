@@ -979,13 +979,13 @@ class Oracle:
 
     def mismatches(self, exchange: Exchange) -> Iterator[Mismatch]:
         """Yield what each explanation alone makes of an exchange that none of them allows."""
-        every = self.candidates
+        every, overlooking = self.candidates, self._overlooking
         for candidate, history in every.items():
             self.candidates = {candidate: history}
             found = self.judge(exchange)
             if found is not None:
                 yield found
-        self.candidates = every
+        self.candidates, self._overlooking = every, overlooking
 
     def accept(self, exchange: Exchange) -> None:
         """Go on with what the last mismatch showed as what this device does there.

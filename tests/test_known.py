@@ -239,10 +239,11 @@ def test_a_sound_device_is_told_what_did_not_occur(
     monkeypatch.setattr(runner_module, "all_cases", lambda *_: iter(cases))
     monkeypatch.setattr(Runner, "complete", lambda *_: [])
     path = written(tmp_path / "known.toml", f'device = "{DEVICE}"\n{ENTRY}')
-    found = run_device(DEVICE, "model", depth="quick", known=str(path))
+    accepted = known.of(str(path), DEVICE)
+    found = run_device(DEVICE, "model", depth="quick", known=accepted)
     assert [note for note in found.notes if "did not occur: a b (old)" in note]
     assert found.conclusion is Conclusion.CONFORMS
-    part = run_device(DEVICE, "model", depth="quick", known=str(path), only=("sdo",))
+    part = run_device(DEVICE, "model", depth="quick", known=accepted, only=("sdo",))
     assert not [note for note in part.notes if "did not occur" in note]
 
 

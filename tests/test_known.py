@@ -36,7 +36,7 @@ TODAY: Final = date(2030, 5, 17)
 WIDE: Final = "shutdown_switches_on"
 """No drive comes from switch on disabled to operation enabled as it should."""
 NARROW: Final[Mapping[str, str]] = {
-    "quick_stop_ignored": "inputs DRV-15 quick_stop",
+    "quick_stop_ignored": "inputs DRV-14 quick_stop",
     "disable_operation_to_ready": "inputs DRV-08 switched_on",
     "reset_ignored": "inputs DRV-18 fault switch_on_disabled",
 }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ecatspec.conformance.verdict import Finding, Verdict
+    from ecatspec.conformance.verdict import Finding, Result, Verdict
 
 
 def plain(text: str) -> str:
@@ -20,6 +20,16 @@ def plain(text: str) -> str:
 def plural(count: int, word: str) -> str:
     """Say how many there are."""
     return f"{count} {word}" if count == 1 else f"{count} {word}s"
+
+
+def interruption(result: Result) -> str:
+    """Say how far an interrupted run came, and how to go on; empty: it came to its end."""
+    if not result.interrupted:
+        return ""
+    done = len(result.verdicts)
+    if not result.planned:
+        return f"interrupted after {plural(done, 'case')}"
+    return f"interrupted after {done} of {plural(result.planned, 'case')}; --resume goes on"
 
 
 def needs(verdict: Verdict) -> str:

@@ -204,15 +204,6 @@ class Result:
     clauses_beyond: tuple[str, ...] = ()
     """The clauses that it cannot reach either; they are not in the total."""
 
-    def interruption(self) -> str:
-        """Say how far an interrupted run came, and how to go on; empty: it came to its end."""
-        if not self.interrupted:
-            return ""
-        done = f"interrupted after {len(self.verdicts)}"
-        if not self.planned:
-            return f"{done} cases"
-        return f"{done} of {self.planned} cases; --resume goes on"
-
     def count(self, outcome: Outcome) -> int:
         """Count the verdicts of one outcome."""
         return sum(verdict.outcome is outcome for verdict in self.verdicts)

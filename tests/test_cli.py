@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from ecatspec.conformance.known import Accepted
     from ecatspec.conformance.results import Basis, Journal
     from ecatspec.conformance.steps import Crew
     from ecatspec.generators.case import Limits
@@ -83,6 +84,8 @@ class Played:
         replay: str,
         hang_timeout: float,
         progress: Callable[[int, int, str], None] | None,
+        known: Accepted,
+        choices: tuple[str, ...],
         keep: Callable[[Basis], Journal | None] | None = None,
         crew: Crew | None = None,
     ) -> Result:
@@ -94,6 +97,8 @@ class Played:
             "mailbox": mailbox,
             "only": only,
             "replay": replay,
+            "known": known.path,
+            "choices": choices,
             "hang_timeout": hang_timeout,
             "progress": progress,
             "kept": keep is not None,
@@ -462,10 +467,12 @@ def test_a_device_that_was_never_where_cases_needed_it_does_not_conform(
 
 def test_an_interrupted_run_shows_what_was_found(call: Call, played: Played) -> None:
     for outcome in (Outcome.PASS, Outcome.FAIL):
-        played.results = (replace(result(outcome), interrupted=True),)
+        played.results = (replace(result(outcome), interrupted=True, planned=9),)
         status, out, _ = call("run", DEVICE)
         assert status == 130
-        assert "interrupted: what was found so far" in out
+        assert "(interrupted after 1 of 9 cases; --resume goes on)" in " ".join(out.split())
+        played.results = (replace(result(outcome), interrupted=True),)
+        assert "(interrupted after 1 case)" in " ".join(call("run", DEVICE)[1].split())
 
 
 def test_ctrl_c_elsewhere_is_one_line(call: Call, played: Played) -> None:
@@ -496,6 +503,8 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
         "mailbox": "",
         "only": (),
         "replay": "",
+        "known": "",
+        "choices": (),
         "hang_timeout": HANG_TIMEOUT,
         "progress": None,
         "kept": True,
@@ -504,6 +513,7 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
     file = str(shipped(tmp_path, DEVICE))
     options = ["--depth", "quick", "--seed", "7", "--mailbox", "64:1486", "--hang-timeout", "0.5"]
     options += ["--only", "al,sdo", "--replay", "al/up"]
+    options += ["--choice", "reply_counter=zero", "--choice", "bad_service=abort"]
     call("run", file, "--dut", "exec:x --y", *options)
     assert played.asked == {
         "device": file,
@@ -513,6 +523,8 @@ def test_options_reach_the_runner(call: Call, played: Played, tmp_path: Path) ->
         "mailbox": "64:1486",
         "only": ("al", "sdo"),
         "replay": "al/up",
+        "known": "",
+        "choices": ("reply_counter=zero", "bad_service=abort"),
         "hang_timeout": 0.5,
         "progress": None,
         "kept": False,

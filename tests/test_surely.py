@@ -12,6 +12,7 @@ from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.cli import main
 from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.marks import interruption
 from ecatspec.conformance.runner import Runner, run_device, ways_of
 from ecatspec.conformance.verdict import Outcome, SetUp
 from ecatspec.generators.bringup import way_to
@@ -172,7 +173,7 @@ def test_an_interrupted_run_says_how_far_it_came(
 
     monkeypatch.setattr(runner_module, "all_cases", few)
     result = run_device(DEVICE, "model", depth="quick", progress=progress)
-    assert result.interruption() == "interrupted after 3 of 5 cases; --resume goes on"
+    assert interruption(result) == "interrupted after 3 of 5 cases; --resume goes on"
 
     judge = Runner.judge
 

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from ecatspec.conformance.coverage import Shown, coverage
 from ecatspec.conformance.drawings.graph import rule_words, states_place, states_words
 from ecatspec.conformance.drawings.svg import drawing
-from ecatspec.conformance.marks import kinds, needs, parts, plural
+from ecatspec.conformance.marks import interruption, kinds, needs, parts, plural
 from ecatspec.conformance.pages import render
 from ecatspec.conformance.reached import Mark, lacking, reached
 from ecatspec.conformance.reports import judged, risks
@@ -96,8 +96,8 @@ def _run(number: int, result: Result, model: Model) -> View:
 
 
 def _judgement(result: Result) -> tuple[str, str]:
-    interrupted = result.interruption()
-    late = f" ({interrupted})" if interrupted else ""
+    told = interruption(result)
+    late = f" ({told})" if told else ""
     if not judged(result):
         return "", f"Not judged{late}"
     words = result.conclusion.value.capitalize()

@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.conformance.coverage import Covered, Shown, coverage
-from ecatspec.conformance.marks import kinds, needs, plain, plural
+from ecatspec.conformance.marks import interruption, kinds, needs, plain, plural
 from ecatspec.conformance.reports import judged
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.conformance.version import version
@@ -103,7 +103,7 @@ def _whole(suite: ET.Element, device: str, result: Result, protocol: Protocol) -
         ET.SubElement(case, "error", {"message": "nothing could be judged"})
     counts = (f"{result.count(outcome)} {outcome.value}" for outcome in Outcome)
     notes = [*counts, *result.guarantees, *result.notes]
-    _output(case, [*notes, *filter(None, [result.interruption()])][:_LINES])
+    _output(case, [*notes, *filter(None, [interruption(result)])][:_LINES])
 
 
 def _clause(suite: ET.Element, classname: str, covered: Covered, result: Result) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.marks import kinds, needs, parts, plain, plural
+from ecatspec.conformance.marks import interruption, kinds, needs, parts, plain, plural
 from ecatspec.conformance.reports import judged, risks
 from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
 from ecatspec.generators.families import NOTES
@@ -77,7 +77,7 @@ def _judgement(result: Result, findings: Sequence[Finding]) -> str:
         words = "NOT JUDGED"
     if findings:
         words += f": {plural(len(findings), 'finding')}"
-    late = result.interruption()
+    late = interruption(result)
     return f"{words} ({late})" if late else words
 
 

@@ -231,10 +231,9 @@ def test_a_run_and_its_vectors_find_the_fault(name: str) -> None:
         near.appendleft(case)
         if verdict.outcome in FOUND and first:
             first = False
-            places = [n for n, c in enumerate(verdict.clauses) if c in fault.clauses]
-            place = min(places, default=len(verdict.clauses))
-            assert (place > 2) == (name in LATER), verdict.clauses
-            assert (0 < place <= 2) == (name in SECOND), verdict.clauses
+            leads, *others = (clause in fault.clauses for clause in verdict.clauses[:3])
+            assert (not leads and any(others)) == (name in SECOND), verdict.clauses
+            assert (not leads and not any(others)) == (name in LATER), verdict.clauses
         if verdict.outcome in FOUND and not set(verdict.clauses) & set(fault.clauses):
             other.add(verdict.clauses)
         elif verdict.outcome in FOUND or found:

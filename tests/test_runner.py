@@ -303,7 +303,7 @@ def test_what_cannot_be_run_again_is_one_line(replay: str, words: str) -> None:
 class Promised:
     """Stands for a complete suite of a few cases."""
 
-    tests: tuple[Case, ...]
+    own: tuple[Case, ...]
     layer: str = "sdo"
     assumed: Mapping[str, str] = field(default_factory=dict)
 
@@ -311,8 +311,12 @@ class Promised:
     def suite(self) -> Promised:
         return self
 
+    @property
+    def tests(self) -> int:
+        return len(self.own)
+
     def cases(self) -> Iterator[Case]:
-        return iter(self.tests)
+        return iter(self.own)
 
     def guarantee(self) -> str:
         return "a promise"

@@ -408,7 +408,7 @@ class Runner:
         position = -1
         try:
             choices = self.choices | self.believed
-            self.session.begin(choices, self.configuration() if cold else {}, cold=cold)
+            self.session.begin(choices, self.configuration(), cold=cold)
             for position, stimulus in enumerate(case.stimuli):
                 if position == case.prelude and case.needs is not None:
                     states = self.session.oracle.al_states()

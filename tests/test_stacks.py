@@ -238,7 +238,7 @@ def debug(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def death(file: Path, what: int) -> DeviceCrash:
-    adapter = open_adapter(f"lib:{file}", "standard", hang_timeout=5)
+    adapter = open_adapter(f"lib:{file}", "standard")
     with pytest.raises(DeviceCrash) as caught:
         adapter.read(what, 1)
     adapter.reset()

@@ -191,17 +191,26 @@ def test_an_interrupted_run_says_how_far_it_came(
 # --- without a power cycle ------------------------------------------------------------------------
 
 
-def failing(device: str, fault: str, layer: str) -> list[tuple[Outcome, str]]:
+def failing(device: str, fault: str, part: str) -> list[tuple[Outcome, str]]:
     adapter = make(device, {"fault": fault})
     model = Model(load(device))
     judge = Runner(model, adapter, replace(adapter.describe(), power_cycles=False))
-    cases = [c for c in all_cases(model, NO_LIMITS, "quick") if c.layer == layer][:60]
+    cases = [c for c in all_cases(model, NO_LIMITS, "quick") if part in c.name][:40]
     judge.run(cases, None, len(cases))
     return [(v.outcome, v.reason) for v in judge.verdicts if v.outcome is not Outcome.PASS]
 
 
-def test_what_shows_again_after_init_is_a_failure() -> None:
-    found = failing(DEVICE, "refused_without_error", "al")
+@pytest.mark.parametrize(
+    ("device", "fault", "part"),
+    [
+        (DEVICE, "refused_without_error", "al/"),
+        (DRIVE, "watchdog_ignored", "process_data/watchdog"),
+        (DRIVE, "quick_stop_ignored", "ds402/shutdown/enable_operation/quick_stop"),
+    ],
+)
+def test_what_shows_again_after_init_is_a_failure(device: str, fault: str, part: str) -> None:
+    found = failing(device, fault, part)
+    assert found
     assert {outcome for outcome, _ in found} == {Outcome.FAIL}
     assert all("shows again after INIT" in reason for _, reason in found)
 

@@ -53,7 +53,7 @@ class SetUpPart(_Part, frozen=True):
 
 
 class Covered(_Part, frozen=True):
-    """What was exercised, of so many that the device can reach.
+    """What was exercised, and the total that the device can reach.
 
     `beyond` is what it cannot reach by its own text, and is not in the total.
     """

@@ -195,7 +195,7 @@ def failing(device: str, fault: str, part: str) -> list[tuple[Outcome, str]]:
     adapter = make(device, {"fault": fault})
     model = Model(load(device))
     judge = Runner(model, adapter, replace(adapter.describe(), power_cycles=False))
-    cases = [c for c in all_cases(model, NO_LIMITS, "quick") if part in c.name][:40]
+    cases = [c for c in all_cases(model, NO_LIMITS, "quick") if c.name.startswith(part)][:60]
     judge.run(cases, None, len(cases))
     return [(v.outcome, v.reason) for v in judge.verdicts if v.outcome is not Outcome.PASS]
 

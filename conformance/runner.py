@@ -55,6 +55,7 @@ from ecatspec.generators.suite import all_cases
 from ecatspec.generators.token import PREFIX, case_of, check, token_of
 from ecatspec.generators.transfers import begins_download
 from ecatspec.generators.walks import walk
+from ecatspec.model.blame import answering
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rests_on, rule_clauses
 from ecatspec.model.oracle import Oracle
@@ -571,7 +572,11 @@ class Runner:
                 verdict = self._against(case, mismatch, tuple(session.trace), session.time)
                 if mismatch.silent and session.is_deaf():
                     # what else it does not answer then is no cause of its own
-                    return replace(verdict, reason=_DEAF, signature=_DEAF, causes=())
+                    first, rest = verdict.clauses[:1], verdict.clauses[1:]
+                    clauses = tuple(dict.fromkeys((*first, *answering(self.model), *rest)))
+                    return replace(
+                        verdict, reason=_DEAF, signature=_DEAF, clauses=clauses, causes=()
+                    )
                 return verdict
             case DeviceFault():
                 return self._death(case, error)

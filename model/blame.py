@@ -69,6 +69,10 @@ class Alternative:
     """The fields that differ were left at 0."""
     stuck: bool = False
     """What was observed is what the device showed before the last rule."""
+    alien: bool = False
+    """What was observed is no answer to this at all, or no value that the field can have."""
+    refusing: bool = False
+    """A refusal is due, and an answer was observed."""
     sized: bool = False
     """The length of the value follows from what its entry holds, which is known."""
 
@@ -110,6 +114,11 @@ def blame(model: Model, alternatives: Iterable[Alternative]) -> Blame | None:
     return Blame(told, rules, ordered, tuple(nearest), by_rule=not demand)
 
 
+def answering(model: Model) -> tuple[str, ...]:
+    """Give the clauses that demand an answer at all."""
+    return model.protocol.parameters[_ANSWERED].clauses
+
+
 def strongest_first(model: Model, clauses: Iterable[str]) -> tuple[str, ...]:
     """Give clauses in their order, `must` before `should`, and last what nobody can break."""
     level = {clause: model.protocol.clauses[clause].level for clause in clauses}
@@ -119,7 +128,7 @@ def strongest_first(model: Model, clauses: Iterable[str]) -> tuple[str, ...]:
 def _distance(model: Model, each: Alternative) -> tuple[int, int, int]:
     """Give what is unserved, how many fields differ, and how many odd ways the device would go."""
     unserved = sum(not pending.timer for pending in each.candidate.inbox)
-    return unserved, len(each.fields) or _FAR, _odd(model, each)
+    return unserved, len(each.fields) or _FAR + each.refusing, _odd(model, each)
 
 
 def _odd(model: Model, each: Alternative) -> int:
@@ -146,6 +155,11 @@ def _demanded(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]]:
     found = _of_layout(model, each)
     if found is not None:
         return found
+    protocol = model.protocol
+    if each.alien and each.layout in protocol.frames:
+        return each.layout, protocol.frames[each.layout].clauses
+    if each.alien and each.layout in protocol.registers:
+        return each.layout, protocol.registers[each.layout].clauses
     if each.blank and len(each.fields) == 1:
         return f"{each.layout}.{each.fields[0]} 0", ()
     return "", ()
@@ -214,7 +228,7 @@ def _telling(model: Model, each: Alternative, rule: RuleName, clause: str) -> tu
     if filled and _TELLING.isdisjoint(each.fields):
         # it did not go otherwise: it went, and filled in what is wrong
         decisive, idle = frozenset(), frozenset()
-    answers = model.protocol.parameters[_ANSWERED].clauses if each.silent else ()
+    answers = answering(model) if each.silent else ()
     concerned = () if each.entry is None else each.entry.clauses
     shared = _entries_of(model)[clause] if clause in concerned else 0
     own = bool(model.protocol.clauses[clause].claims)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.compiled import MAILBOX, rows_of
+from ecatspec.model.compiled import MAILBOX, rows_of, timers_of
 from ecatspec.model.evaluate import before
 from ecatspec.model.interpreter import DELIVER, RESEND
 from ecatspec.model.meaning import is_written
@@ -88,12 +88,7 @@ class Chains:
             for rule in machine.rules
             for give in (*rule.gives, *(rule.after.gives if rule.after else ()))
         }
-        timers = {
-            later.target
-            for machine in self._protocol.machines.values()
-            for rule in machine.rules
-            for later in rule.laters
-        }
+        timers = timers_of(self._protocol)
         found = []
         for (machine, name), source in self._inputs.items():
             target = f"{machine}.{name}"

@@ -658,6 +658,16 @@ def _present(value: Value | None) -> Value:
     return UNKNOWN if value is None else value
 
 
+def timers_of(protocol: Protocol) -> frozenset[str]:
+    """Give the inputs that come when a time is over, as `machine.input`."""
+    return frozenset(
+        later.target
+        for machine in protocol.machines.values()
+        for rule in machine.rules
+        for later in rule.laters
+    )
+
+
 def rows_of(machine: Machine) -> tuple[Rule | Gap, ...]:
     """Give the rules and the gaps of a machine."""
     return (*machine.rules, *machine.gaps)

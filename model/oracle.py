@@ -21,7 +21,7 @@ from ecatspec.model.candidates import (
     with_alarms,
 )
 from ecatspec.model.citations import object_name
-from ecatspec.model.compiled import MAILBOX
+from ecatspec.model.compiled import MAILBOX, timers_of
 from ecatspec.model.dictionary import size_varies
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_of
 from ecatspec.model.evaluate import Environment
@@ -72,7 +72,7 @@ from ecatspec.model.words import (
     reason_words,
     register_words,
 )
-from ecatspec.spec.language.ir import Access, Rule
+from ecatspec.spec.language.ir import Access, Named, Rule
 from ecatspec.spec.language.scope import IMAGE, names_in
 
 if TYPE_CHECKING:
@@ -696,15 +696,33 @@ class Oracle:
         observed = register_words(self.model, register.name, fields)
         machines = machines_of(self.model, register.name)
 
-        def differs(state: State) -> tuple[str, ...]:
-            return _differing(shown_register(self.model, register, state), fields)
+        def shown(state: State) -> Mapping[str, Value]:
+            return shown_register(self.model, register, state)
 
         blank = {view.name for view in views if not view.truth and not fields[view.name]}
+        # there is no other state of the machine, while a device may have codes of its own
+        alien = {
+            view.name
+            for view in views
+            if _shows_state(view.expression)
+            for bits in register.fields
+            if bits.name == view.name and isinstance(bits.type, Named)
+            if fields[view.name]
+            not in {row.value for row in self.model.protocol.tables[bits.type.table].rows}
+        }
         by = [
-            Alternative(c, led, odd, register.name, blank=blank.issuperset(odd), stuck=stuck)
+            Alternative(
+                c,
+                led,
+                odd,
+                register.name,
+                blank=blank.issuperset(odd),
+                stuck=stuck,
+                alien=not alien.isdisjoint(odd),
+            )
             for c, h in before.items()
-            for odd in [differs(c.state)]
-            for led, stuck in [self._led(c, h, exchange.span(), machines, differs)]
+            for odd in [_differing(shown(c.state), fields)]
+            for led, stuck in [self._led(c, h, exchange.span(), machines, shown, fields)]
         ]
         refused = {c: h for c, h in before.items() if self._reasons_of(c.state, h)}
         found = self._mismatch(
@@ -826,20 +844,20 @@ class Oracle:
             for name, said in words_in(self.model, self.example(), exchange.data)
             if name in words
         )
-        shown = dict(fields_in(self.model, self.example(), exchange.data))
+        found = dict(fields_in(self.model, self.example(), exchange.data))
         by = []
         for name in words:
             machines = machines_of(self.model, name)
 
-            def differs(state: State, name: str = name) -> tuple[str, ...]:
-                return _differing(shown_fields(self.model, state, name), shown[name])
+            def shown(state: State, name: str = name) -> Mapping[str, Value]:
+                return shown_fields(self.model, state, name)
 
             by += [
                 Alternative(c, led, odd, name, stuck=stuck)
                 for c, h in wrong.items()
-                for odd in [differs(c.state)]
+                for odd in [_differing(shown(c.state), found[name])]
                 if odd
-                for led, stuck in [self._led(c, h, exchange.span(), machines, differs)]
+                for led, stuck in [self._led(c, h, exchange.span(), machines, shown, found[name])]
             ]
         return self._mismatch(
             exchange,
@@ -927,6 +945,13 @@ class Oracle:
                 wrong += self._clauses_of_fields(candidate.state, output, message)
                 fields = differing(self.model, candidate.state, output, message)
             each = self._due_reply(candidate, output)
+            if message is not None:
+                each = replace(
+                    each,
+                    alien=_is_alien(self.model, output, message),
+                    refusing=_refuses(self.model, output.frame)
+                    and not _refuses(self.model, message.frame),
+                )
             resized = _VALUE in fields and not self._fits(candidate.state, output, message)
             sized = self._holds_any_size(candidate.state, each.entry)
             if sized and _VALUE in fields:
@@ -1102,26 +1127,36 @@ class Oracle:
         history: tuple[RuleName, ...],
         span: tuple[int, int],
         machines: AbstractSet[str],
-        differs: Callable[[State], tuple[str, ...]],
+        shown: Callable[[State], Mapping[str, Value]],
+        observed: Mapping[str, Value],
     ) -> tuple[tuple[RuleName, ...], bool]:
         """Give the rule that the device did not go by, if it shows the state before; else the last.
 
-        And whether it shows that state.
-
-        It is looked for back to when this was read last and right, or anything was.
+        And whether it shows that state. It is looked for back to when this was read last and right,
+        or anything was. Where these machines did nothing since, it is what became of the outputs.
         """
-        own = [rule for rule in history if rule.machine in machines]
-        seen = max(self._right.values(), default=0)
-        for rule in reversed(history[self._right.get(span, seen) :]):
+        recent = history[self._right.get(span, max(self._right.values(), default=0)) :]
+        odd = _differing(shown(candidate.state), observed)
+        told = False
+        for rule in reversed(recent):
             row = row_of(self.model, rule)
-            if rule.machine not in machines or not isinstance(row, Rule) or row.target is None:
+            if rule.machine not in machines or not isinstance(row, Rule):
+                continue
+            asked = _is_asked(self.model, rule)
+            if row.target is None or (told and not asked):
+                # what it was asked after it had gone by itself tells more
+                told = told or asked
                 continue
             slot = self.model.slots[f"{rule.machine}.state"]
             names = {name: value for value, name in self.model.state_names(rule.machine).items()}
-            sources = (names[name] for name in row.sources)
-            stuck = (candidate.state.having(slot, v) for v in sources if names[row.target] != v)
-            if any(not differs(state) for state in stuck):
-                return (rule,), True
+            for source in row.sources:
+                before = shown(candidate.state.having(slot, names[source]))
+                demanded = any(not is_any(before[name]) for name in odd)
+                if source != row.target and demanded and not _differing(before, observed):
+                    return (rule,), True
+        own = [rule for rule in history if rule.machine in machines]
+        if machines.isdisjoint(rule.machine for rule in recent):
+            own = [rule for rule in recent if _takes_outputs(self.model, rule)] or own
         return tuple(own[-1:]), False
 
     def _clauses_of_fields(self, state: State, output: Output, message: Message) -> Iterator[str]:
@@ -1269,10 +1304,9 @@ class Oracle:
     def _kind(self, observed: str) -> str:
         """Tell of what kind an observation is that is something else altogether."""
         name = observed.partition(":")[0]
-        frame = self.model.protocol.frames.get(name)
-        if frame is None:
+        if name not in self.model.protocol.frames:
             return name
-        return "refused" if _REFUSING.intersection(f.name for f in frame.fields) else "served"
+        return "refused" if _refuses(self.model, name) else "served"
 
 
 def _shows_state(shown: Expression) -> bool:
@@ -1351,6 +1385,50 @@ def _glances(model: Model, address: int, length: int) -> tuple[Event, ...]:
         and any(name.startswith(MANAGERS) for name in source.origin)
         and touched.isdisjoint(source.origin)
     )
+
+
+@once
+def _takes_outputs(model: Model, rule: RuleName) -> bool:
+    """Tell whether a rule says what becomes of outputs."""
+    row = row_of(model, rule)
+    return row is not None and any(
+        (event.machine, event.input) == (rule.machine, row.input) for event in model.outputs
+    )
+
+
+@once
+def _is_asked(model: Model, rule: RuleName) -> bool:
+    """Tell whether the MainDevice had it done, or the device did it by itself."""
+    row = row_of(model, rule)
+    alone = {(event.machine, event.input) for event in (*model.own, *model.locals)}
+    return (
+        row is not None
+        and f"{rule.machine}.{row.input}" not in timers_of(model.protocol)
+        and (rule.machine, row.input) not in alone
+    )
+
+
+def _refuses(model: Model, frame: str) -> bool:
+    """Tell whether a frame refuses what was asked."""
+    return not _REFUSING.isdisjoint(field.name for field in model.protocol.frames[frame].fields)
+
+
+def _is_alien(model: Model, output: Output, message: Message) -> bool:
+    """Tell whether a message is of the service of a response, and none to that request at all."""
+    return (
+        message.trail[:-1] == model.codec.trail(output.frame)[:-1]
+        and not _refuses(model, output.frame)
+        and message.frame not in _answers(model, output.rule)
+    )
+
+
+@once
+def _answers(model: Model, rule: RuleName) -> frozenset[str]:
+    """Give the frames that any rule for the same input, and any refusal, sends."""
+    row = row_of(model, rule)
+    rules = () if row is None else model.rules(rule.machine, row.input)
+    refusing = (name for name in model.protocol.frames if _refuses(model, name))
+    return frozenset((*(frame for each in rules for frame, _ in each.sends), *refusing))
 
 
 @once

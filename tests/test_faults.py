@@ -68,21 +68,12 @@ before, and the test ends; or what they do would be right a moment later, as vec
 it only should be otherwise, of which vectors say nothing."""
 LATER: Final = frozenset(
     {
-        "commands_in_safeop_after_op",
-        "complete_bit_ignored",
         "complete_shows_write_only",
-        "confirmed_like_a_read",
         "lost_clock_faults_idle_drive",
-        "mode_restarts",
+        "mailed_pdo_confirmed",
         "op_refused_as_request",
-        "open_registers",
-        "outputs_act_in_preop",
         "position_pdo_of_8_bytes",
         "process_data_watched_on",
-        "repeat_bits_differ_at_start",
-        "response_as_request",
-        "short_writes",
-        "subindex_ignored",
         "upload_size_of_first_part",
     }
 )
@@ -93,23 +84,29 @@ SECOND: Final = frozenset(
         "complete_part_too_far",
         "connection_fault_missing",
         "connection_kept",
+        "emergency_with_more_data",
         "enabled_word_disables",
         "entry_access_of_any_state",
         "first_bytes_lost",
         "initiate_refused",
         "list_without_type",
-        "mailed_pdo_confirmed",
+        "mode_restarts",
         "op_left_unasked",
+        "other_protocol_confirmed",
         "other_protocol_reported_twice",
         "pdo_by_mail_confirmed",
         "pdo_by_mail_taken",
         "refused_value_stored",
+        "repeat_bits_differ_at_start",
         "return_to_switched_on",
         "row_5_for_row_11",
         "safeop_keeps_error",
         "segment_not_padded",
         "segments_not_stored",
         "service_erred_twice",
+        "short_writes",
+        "size_not_indicated",
+        "subindex_ignored",
         "upper_bits_compared",
         "value_not_stored",
     }
@@ -141,7 +138,7 @@ def test_there_are_faults_of_every_service() -> None:
 def test_of_most_faults_the_first_clauses_name_the_own() -> None:
     assert FAULTS.keys() >= LATER | SECOND
     assert LATER.isdisjoint(SECOND)
-    assert len(LATER) <= len(FAULTS) // 20
+    assert len(LATER) <= len(FAULTS) // 50
     assert len(LATER | SECOND) <= len(FAULTS) // 10
 
 

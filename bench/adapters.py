@@ -45,7 +45,7 @@ from ecatspec.conformance.devices import load
 from ecatspec.conformance.libraries import HEADERS
 from ecatspec.conformance.session import Session
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

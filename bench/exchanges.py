@@ -21,7 +21,7 @@ from ecatspec.conformance.session import Session
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.sdo_cover import sdo_cover
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from ecatspec.conformance.session import Session
 from ecatspec.generators.bringup import way_to
 from ecatspec.generators.transfers import normal_download, pattern, read
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -25,7 +25,7 @@ from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.once import once
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.wire import wire_format
 from ecatspec.model.words import message_words, register_words
 from ecatspec.spec.language.ir import Level
@@ -95,8 +95,8 @@ class Follower:
             self.verdicts.append(self._verdict(self.oracle.advice[signature], ADVISED))
         if mismatch is None and self.oracle.candidates is self._known:
             return
-        self.rules |= self.oracle.certain_rules()
-        reasons = self.oracle.reasons() if mismatch is None else mismatch.reasons
+        self.rules |= self.oracle.known.certain_rules()
+        reasons = self.oracle.known.reasons() if mismatch is None else mismatch.reasons
         for reason in reasons:
             if reason not in self._told:
                 self.reasons.append(f"{reason} ({exchange.reference})")
@@ -106,13 +106,13 @@ class Follower:
             self.oracle.unknown(keep=True)
             self.oracle.observe(exchange)
         else:
-            if surprises := self.oracle.surprises():
+            if surprises := self.oracle.known.surprises():
                 what = f"{' or '.join(surprises)} by itself ({exchange.reference})"
                 self.accidents.append(what)
                 self.recent.append(TraceLine(exchange.time, SUB_DEVICE, what))
             self.oracle.forget_history()
         self._known = self.oracle.candidates
-        self._told = self.oracle.reasons()
+        self._told = self.oracle.known.reasons()
 
     def _remember(self, exchange: Exchange) -> None:
         if not exchange.working_counter:
@@ -143,7 +143,7 @@ class Follower:
     def _start(self, name: str) -> int | None:
         """Give where a mailbox begins."""
         if self._starts_of is not self.oracle.candidates:
-            areas = {name: self.oracle.area(name) for name in SYNC_MANAGERS}
+            areas = {name: self.oracle.known.area(name) for name in SYNC_MANAGERS}
             self._starts = {name: area and area[0] for name, area in areas.items()}
             self._starts_of = self.oracle.candidates
         return self._starts[name]
@@ -277,7 +277,7 @@ def _result(
         extent.clauses_covered,
         extent.clauses_total,
         seconds,
-        follower.oracle.choices(),
+        follower.oracle.known.choices(),
         (*filter(None, shown), *notes),
         rules_beyond=extent.rules_beyond,
         clauses_beyond=extent.clauses_beyond,

@@ -58,7 +58,7 @@ from ecatspec.generators.walks import walk
 from ecatspec.model.blame import answering
 from ecatspec.model.compiled import Model
 from ecatspec.model.interpreter import rests_on, rule_clauses
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.state import RuleName
 from ecatspec.spec.language.ir import Level
 
@@ -412,11 +412,11 @@ class Runner:
             self.session.begin(choices, self.configuration(), cold=cold)
             for position, stimulus in enumerate(case.stimuli):
                 if position == case.prelude and case.needs is not None:
-                    states = self.session.oracle.al_states()
+                    states = self.session.oracle.known.al_states()
                     if states != {case.needs}:
                         return self._inconclusive(case, states)
                 self.session.apply(stimulus)
-                if broken := self.session.oracle.broken():
+                if broken := self.session.oracle.known.broken():
                     reason = f"the texts break their own property {', '.join(broken)}"
                     return Verdict(case.name, Outcome.ERROR, case.title, reason)
         except (Deviation, InconclusiveError, DeviceFault, AdapterError) as error:
@@ -424,7 +424,7 @@ class Runner:
             verdict = self.explained(replace(case, about="") if on_the_way else case, error)
             return self._new_one(case, verdict)
         finally:
-            self.met |= self.session.oracle.met()
+            self.met |= self.session.oracle.known.met()
             if any(self._configures(stimulus) for stimulus in case.stimuli):
                 self.configured = None
         if self.session.overlooked:
@@ -434,9 +434,9 @@ class Runner:
         if not self.believed:
             for reason in self.session.refusals:
                 self.refusals.setdefault(reason, case.name)
-            self.choices |= oracle.choices()
-            self.untold |= oracle.untold()
-        if surprises := oracle.surprises():
+            self.choices |= oracle.known.choices()
+            self.untold |= oracle.known.untold()
+        if surprises := oracle.known.surprises():
             reason = f"{' or '.join(surprises)} befell the device while it was tested"
             return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
         for signature, advice in self.session.advice.items():
@@ -477,7 +477,7 @@ class Runner:
         """Give the rules that fired for sure, none that rests on what is only believed."""
         return frozenset(
             rule
-            for rule in self.session.oracle.certain_rules()
+            for rule in self.session.oracle.known.certain_rules()
             if self.believed.keys().isdisjoint(rests_on(self.model, rule))
         )
 
@@ -494,7 +494,7 @@ class Runner:
             with contextlib.suppress(Deviation, InconclusiveError):
                 for stimulus in (*way_to(self.model, "PREOP"), *read_configuration(self.model)):
                     self.session.apply(stimulus)
-                known = self.session.oracle.example().objects
+                known = self.session.oracle.known.example().objects
                 self.configured = at_power_on(self.model, known)
             self.session.forget_trace()
         return self.configured
@@ -633,7 +633,9 @@ class Runner:
         trace = tuple(self.session.trace)
         last = _last_stimulus(trace)
         oracle, attempt = self.session.oracle, self.session.attempt
-        rules = oracle.due_rules() if attempt is None else oracle.attempted(attempt)
+        if attempt is not None:
+            oracle.observe(attempt)  # the device died while it served a write
+        rules = oracle.known.due_rules()
         inner = [rule for rule in rules if rule.machine != "mailbox"] or rules
         clauses = tuple(dict.fromkeys(c for rule in inner for c in rule_clauses(self.model, rule)))
         kind, said = type(death).__name__, death.cause
@@ -656,7 +658,7 @@ class Runner:
 
     def _inconclusive(self, case: Case, states: frozenset[str]) -> Verdict:
         reached = " or ".join(sorted(states)) or "no state"
-        why = "".join(f"; {text}" for text in self.session.oracle.reasons())
+        why = "".join(f"; {text}" for text in self.session.oracle.known.reasons())
         reason = f"needs AL state {case.needs}, the device is in {reached}{why}"
         return Verdict(case.name, Outcome.INCONCLUSIVE, case.title, reason)
 

@@ -44,6 +44,8 @@ from ecatspec.model.candidates import Exchange, Mismatch
 from ecatspec.model.dictionary import size_varies
 from ecatspec.model.esc import AREAS, PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
+from ecatspec.model.oracle.advice import of_default, takes_nothing, unreadable, unreasoned
+from ecatspec.model.oracle.waiting import unseen
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.model.values import bits_of
 from ecatspec.model.words import message_words, register_words
@@ -54,7 +56,7 @@ if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
-    from ecatspec.model.oracle import Oracle
+    from ecatspec.model.oracle.oracle import Oracle
     from ecatspec.model.values import ObjectKey, Value
     from ecatspec.spec.language.ir import ObjectEntry
 
@@ -242,7 +244,7 @@ class Session:
             case ReadConfiguration():
                 self._read_configuration()
             case SetUpProcessData():
-                for writes in settings(self.model, self.oracle.example(), stimulus):
+                for writes in settings(self.model, self.oracle.known.example(), stimulus):
                     self.apply(writes)
             case WriteOutputs():
                 self._outputs = {**(self._outputs or {}), **stimulus.words}
@@ -297,7 +299,8 @@ class Session:
             held.rstrip(b"\0") == default.rstrip(b"\0") if size_varies(entry) else held == default
         )
         if not same:
-            self.oracle.advise_default(self._exchange(0, b"", 1), entry, default, held)
+            exchange = self._exchange(0, b"", 1)
+            self.oracle.note(of_default(self.oracle.known, exchange, entry, default, held))
             self._take_advice()
 
     def _write_until_taken(self, key: ObjectKey) -> None:
@@ -308,9 +311,8 @@ class Session:
             return
         values = tuple(dict.fromkeys((held, *several_values(entry))))
         if all(self._refused(entry, value) for value in values):
-            raise Deviation(
-                self.oracle.takes_nothing(self._exchange(0, b"", 1), entry, len(values))
-            )
+            exchange = self._exchange(0, b"", 1)
+            raise Deviation(takes_nothing(self.model, exchange, entry, len(values)))
 
     def _refused(self, entry: ObjectEntry, value: bytes) -> bool:
         """Write a value; tell whether the device refused it and no text nor its code says why."""
@@ -319,7 +321,7 @@ class Session:
             self.apply(stimulus)
             aborts = [answer for answer in self._answers if answer.frame == ABORT]
             if aborts:
-                return all(self.oracle.unreasoned(answer) for answer in aborts)
+                return all(unreasoned(self.oracle.known, answer) for answer in aborts)
         return False
 
     # --- process data -----------------------------------------------------------------------------
@@ -337,11 +339,11 @@ class Session:
         if (index, 0) not in self.model.dictionary.entries:
             return []
         self._ask(index, 0)
-        known = self.oracle.example().known()
+        known = self.oracle.known.example().known()
         count = known.get((index, 0), b"\0")[0]
         for subindex in range(1, count + 1):
             self._ask(index, subindex)
-        known = self.oracle.example().known()
+        known = self.oracle.known.example().known()
         found = (known.get((index, subindex)) for subindex in range(1, count + 1))
         return [int.from_bytes(value, "little") for value in found if value]
 
@@ -355,30 +357,30 @@ class Session:
         """Write what is written cyclically, in other states than SAFEOP and OP when asked to."""
         if self._outputs is None:
             return
-        used = bool(self.oracle.al_states() & {"SAFEOP", "OP"})
-        data = image(self.model, self.oracle.example(), self._outputs)
+        used = bool(self.oracle.known.al_states() & {"SAFEOP", "OP"})
+        data = image(self.model, self.oracle.known.example(), self._outputs)
         start = self.model.parameter("process_data_out", "start")
         if data is None or not (used or anywhere):
             return
-        if used or self.oracle.process_area(DATA_OUT) == (start, len(data)):
+        if used or self.oracle.known.process_area(DATA_OUT) == (start, len(data)):
             self._write(start, data)
 
     def _cycle(self) -> int:
         """Give the time between two writes of process data that keeps the watchdog quiet."""
-        environment = Environment(self.oracle.example().slots, {}, {})
+        environment = Environment(self.oracle.known.example().slots, {}, {})
         time = self.model.definition("watchdog_time")(environment)
         cycle = time // _OFTEN[self._virtual] if isinstance(time, int) and time else _SLOWEST
         return max(1, min(_SLOWEST, cycle))
 
     def _read_inputs(self) -> None:
-        area = self.oracle.process_area(DATA_IN)
+        area = self.oracle.known.process_area(DATA_IN)
         if area is not None:
             counter, data = self._read(*area)
             self._show_inputs(data if counter else b"")
             self._observe(self._exchange(area[0], data, counter))
 
     def _show_inputs(self, data: bytes) -> None:
-        for name, words in self.oracle.words_in(data):
+        for name, words in self.oracle.known.words_in(data):
             if self._shown_words.get(name) != words:
                 self._shown_words[name] = words
                 self._say(SUB_DEVICE, f"shows {words}")
@@ -426,8 +428,9 @@ class Session:
     def _send_segments(self) -> None:
         # each segment brings a byte at least, so an upload ends after as many as it has bytes
         for number in range(SEGMENTS):
-            over = not self.oracle.may_be("sdo", "UPLOADING") or self.oracle.may_be("sdo", "IDLE")
-            if over or number > self.oracle.most("sdo.size"):
+            known = self.oracle.known
+            over = not known.may_be("sdo", "UPLOADING") or known.may_be("sdo", "IDLE")
+            if over or number > known.most("sdo.size"):
                 return
             self._send(upload_segment(toggle=number % 2 == 1))
             self._settle()
@@ -443,7 +446,7 @@ class Session:
     def _area(self, name: str) -> tuple[int, int]:
         """Give where a mailbox lies as it is set, or as the device's description has it."""
         start, length = (self.model.parameter(AREAS[name], part) for part in ("start", "length"))
-        return self.oracle.area(name) or (start, length)
+        return self.oracle.known.area(name) or (start, length)
 
     # --- watching ---------------------------------------------------------------------------------
 
@@ -455,7 +458,7 @@ class Session:
             return
         wait = _FIRST_WAIT
         # where anything may happen there is nothing to see before it has
-        left = self.oracle.open_until(self.time) - self.time
+        left = self.oracle.known.open_until(self.time) - self.time
         if left > 0:
             self._wait(left + 1)
         for _ in range(LOOKS):
@@ -468,7 +471,7 @@ class Session:
             wait *= _SLOWER[self._virtual]
         else:
             raise InconclusiveError(f"the device does not come to rest, looked at {LOOKS} times")
-        if not unread and self.oracle.unseen(self.time):
+        if not unread and unseen(self.model, self.oracle.expanded(self.time), self.time):
             why = "a reply is due, and whether it is there cannot be seen: working counter 0"
             raise InconclusiveError(why)
 
@@ -503,14 +506,14 @@ class Session:
             self._observe(self._exchange(start, data, counter))
             if not counter:
                 return
-            self._unasked += self.oracle.judges_mail()
+            self._unasked += self.oracle.known.judges_mail()
             if self._unasked > UNASKED:
                 why = f"the device sends messages without end: {UNASKED} were unsolicited"
                 raise InconclusiveError(why)
 
     def _read_ahead(self) -> None:
         """Read by one exchange with the adapter what a look begins with."""
-        inputs = self.oracle.process_area(DATA_IN)
+        inputs = self.oracle.known.process_area(DATA_IN)
         spans = (self._span(*AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
         self._tick()
         self._ahead = dict(zip(spans, read_all(self.adapter, spans), strict=True))
@@ -543,13 +546,13 @@ class Session:
             self._show_register(register.name, found[-1])
         exchange = self._exchange(start, data, counter)
         if demanded and not counter:
-            mismatch = self.oracle.unreadable(names[0], exchange)
+            mismatch = unreadable(self.model, names[0], exchange)
             if mismatch is not None:
                 self._deviates(mismatch, exchange)
-        told = self.oracle.reasons() if names == AL else ()
+        told = self.oracle.known.reasons() if names == AL else ()
         self._observe(exchange)
         if names == AL:
-            for reason in self.oracle.reasons():
+            for reason in self.oracle.known.reasons():
                 if reason not in told:
                     self._say(REASON, reason)
         return found if counter else [0] * len(found)

@@ -12,7 +12,7 @@ from ecatspec.conformance.session import NOTHING, Session
 from ecatspec.model.buffers import Buffers, Channel
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import Esc
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.state import State
 from ecatspec.model.subdevice import VirtualSubDevice
 

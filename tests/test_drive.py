@@ -354,9 +354,9 @@ def test_a_drive_is_enabled_through_logical_addresses() -> None:
 def test_the_watchdog_takes_op_away_only_in_its_time() -> None:
     run = runner(VirtualSubDevice(REFERENCE))
     assert run.judge(case(StopOutputs(), Wait(1_700_000))).outcome is Outcome.PASS
-    assert run.session.oracle.al_states() == {"OP"}
+    assert run.session.oracle.known.al_states() == {"OP"}
     assert run.judge(case(StopOutputs(), Wait(2_500_000))).outcome is Outcome.PASS
-    assert run.session.oracle.al_states() == {"SAFEOP"}
+    assert run.session.oracle.known.al_states() == {"SAFEOP"}
 
 
 def test_what_follows_a_hurry_is_looked_at_once() -> None:
@@ -364,7 +364,7 @@ def test_what_follows_a_hurry_is_looked_at_once() -> None:
     run = runner(VirtualSubDevice(REFERENCE))
     for hurry, stopping in (((), False), ((Hurry(),), True)):
         assert run.judge(case(*up, *hurry, word("quick_stop"))).outcome is Outcome.PASS
-        assert run.session.oracle.may_be("ds402", "QUICK_STOP_ACTIVE") is stopping
+        assert run.session.oracle.known.may_be("ds402", "QUICK_STOP_ACTIVE") is stopping
 
 
 def test_a_write_of_the_assignment_is_learned_and_forgotten() -> None:
@@ -395,7 +395,7 @@ def test_where_time_is_real_exchanges_take_time(monkeypatch: pytest.MonkeyPatch)
     uploads = [upload(0x1000, 0)] * 20
     verdict = run.judge(case(StopOutputs(), *uploads))
     assert verdict.outcome is Outcome.PASS, verdict
-    assert run.session.oracle.al_states() == {"SAFEOP"}
+    assert run.session.oracle.known.al_states() == {"SAFEOP"}
     assert run.session.time >= 2_000_000
 
 

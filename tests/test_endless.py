@@ -38,7 +38,7 @@ from ecatspec.generators.transfers import upload
 from ecatspec.generators.walks import walk
 from ecatspec.model import serving
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.load import load_device, plant

@@ -14,7 +14,7 @@ from ecatspec.conformance.capture.transactions import CaptureError
 from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.model.esc import SYNC_MANAGERS
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -183,6 +183,6 @@ def test_a_main_device_that_starts_again_is_followed(
     (oracle,) = oracles
     assert not oracle.lost
     assert len(oracle.candidates) < 16
-    areas = [oracle.area(name) for name in SYNC_MANAGERS]
+    areas = [oracle.known.area(name) for name in SYNC_MANAGERS]
     assert areas == [(0x1800, 1024), (0x1C00, 1024)]
     assert len(blamed((result,))) == (2 if device == "kollmorgen-akd" else 0)

@@ -37,7 +37,7 @@ from ecatspec.model import subdevice
 from ecatspec.model.candidates import Exchange
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.state import Event, Output, RuleName, Step
 from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.model.values import Pattern, concrete
@@ -142,7 +142,7 @@ def judged(
             session.apply(stimulus)
     except Deviation as deviation:
         return deviation.mismatch, {}
-    return None, session.oracle.choices()
+    return None, session.oracle.known.choices()
 
 
 def fault(device: Faulty, stimuli: Sequence[Stimulus]) -> Mismatch:

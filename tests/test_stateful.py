@@ -34,7 +34,7 @@ from ecatspec.generators.families import request_frames
 from ecatspec.generators.token import case_of
 from ecatspec.model.compiled import Model
 from ecatspec.model.dictionary import decode_value, size_of, size_varies
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:

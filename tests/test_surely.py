@@ -19,7 +19,7 @@ from ecatspec.generators.bringup import way_to
 from ecatspec.generators.case import NO_LIMITS, Case, Probe
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.values import UNKNOWN
 
 if TYPE_CHECKING:
@@ -234,9 +234,9 @@ def test_what_shows_once_is_a_warning() -> None:
 def test_what_earlier_cases_may_have_left_is_not_known_after_init() -> None:
     oracle = Oracle(Model(load(DRIVE)))
     oracle.power_on()
-    cold = oracle.example()
+    cold = oracle.known.example()
     oracle.power_on(cold=False)
-    warm = oracle.example()
+    warm = oracle.known.example()
     slots = oracle.model.slots
     assert cold.slots[slots["ds402.state"]] == 0
     assert warm.slots[slots["ds402.state"]] is UNKNOWN

@@ -25,7 +25,7 @@ from ecatspec.generators.client import Ask, Begin, Move, Segment, played
 from ecatspec.generators.strategies import begins, commands, downloads, moves, uploads
 from ecatspec.generators.transfers import abort, normal_download, pattern, upload
 from ecatspec.model.compiled import Model
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 
 DEVICE = "reference"
 PLAIN = load(DEVICE)

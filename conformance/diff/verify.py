@@ -18,7 +18,7 @@ from ecatspec.generators.drive_cover import STATUS
 from ecatspec.generators.token import to_data
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import field_of
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.process_image import INPUTS, taken
 from ecatspec.model.shown import layout
 from ecatspec.model.subdevice import VirtualSubDevice
@@ -125,7 +125,7 @@ class _Bench:
     def _status(self, session: Session) -> dict[str, Value]:
         """Give the bits of the status word, read from the process data as they are laid out."""
         word = self.model.protocol.words[STATUS]
-        mapped = layout(self.model, session.oracle.example(), INPUTS) or ()
+        mapped = layout(self.model, session.oracle.known.example(), INPUTS) or ()
         part = next((part for part in mapped if part.key == word.key), None)
         size = -(-sum(each.bits for each in mapped) // 8)
         if part is None:

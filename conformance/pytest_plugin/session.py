@@ -49,7 +49,7 @@ class EcatSession:
     @property
     def state(self) -> str:
         """The AL state that the device is in, by its name in the text."""
-        return " or ".join(sorted(self._runner.session.oracle.al_states()))
+        return " or ".join(sorted(self._runner.session.oracle.known.al_states()))
 
     def go_to(self, state: str) -> None:
         """Bring the device from INIT to an AL state, with the settings that this needs."""
@@ -78,7 +78,7 @@ class EcatSession:
 
     def end(self) -> None:
         """Say where an accident of the device takes the worth from what was seen."""
-        if surprises := self._runner.session.oracle.surprises():
+        if surprises := self._runner.session.oracle.known.surprises():
             told = f"{' or '.join(surprises)} befell the device while it was tested"
             warnings.warn(EcatWarning(f"inconclusive: {told}"), stacklevel=2)
 

@@ -51,7 +51,7 @@ from ecatspec.model.compiled import MAILBOX, Model, rows_of
 from ecatspec.model.esc import AREAS, SYNC_MANAGERS, field_mask
 from ecatspec.model.forms import message_forms
 from ecatspec.model.interpreter import step
-from ecatspec.model.oracle import Oracle
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ class Export:
             self.restless.append(case.name)
             return None
         if case.name == CONFIGURATION:
-            self._objects = at_power_on(self._model, self._recorder.oracle.example().objects)
+            self._objects = at_power_on(self._model, self._recorder.oracle.known.example().objects)
         self.number += 1
         steps = self._recorder.steps
         flags = [case.flag] if case.flag else []

@@ -30,6 +30,7 @@ from ecatspec.model.candidates import Exchange
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.forms import Form, input_form, message_forms, register_forms
+from ecatspec.model.oracle.reads import surprised
 from ecatspec.model.serving import is_idle, may_hold_anything
 from ecatspec.model.shown import decided, process_area
 from ecatspec.model.values import bits_of
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from ecatspec.generators.vectors import Effect, Expected, Input
     from ecatspec.model.candidates import Candidate
     from ecatspec.model.compiled import Model
-    from ecatspec.model.oracle import Oracle
+    from ecatspec.model.oracle.oracle import Oracle
     from ecatspec.model.serving import Explanations
     from ecatspec.model.state import RuleName
     from ecatspec.model.values import ObjectKey
@@ -57,6 +58,8 @@ _KEPT: Final = 4096
 """So many expectations are kept, since many tests begin alike."""
 _LONGEST: Final = 3_600_000_000
 """Microseconds after which a device that is still busy counts as never coming to rest."""
+_ROUNDS: Final = 16
+"""Most things in a row that are awaited, each of which begins with the one before."""
 _TRIES: Final = 64
 """So often it is waited and looked before a device counts as never coming to rest."""
 
@@ -166,7 +169,7 @@ class Recorder(Session):
         for _ in range(_TRIES):
             self._rest()
             self._look(unread=unread)
-            if self.oracle.settled(self.time, unread=unread):
+            if not self.oracle.to_come(self.time, unread=unread):
                 return
         raise RestlessError
 
@@ -176,10 +179,10 @@ class Recorder(Session):
         All that may be seen goes on, since a slower device shows it later.
         """
         time = self.time
-        if self.oracle.open_until(time) > time or self.oracle.busy_until(time) == time:
+        if self.oracle.known.open_until(time) > time or _busy_until(self.oracle, time) == time:
             return
         spans = [self._span(*AL)]
-        if (area := self.oracle.process_area(DATA_IN)) is not None:
+        if (area := self.oracle.known.process_area(DATA_IN)) is not None:
             spans.append(area)
         self._peeks = True
         for address, length in spans:
@@ -193,7 +196,7 @@ class Recorder(Session):
         """Wait until nothing is left that a device may be busy with."""
         began = self.time
         for _ in range(_TRIES):
-            until = self.oracle.busy_until(self.time)
+            until = _busy_until(self.oracle, self.time)
             if until == self.time:
                 return
             if self._draft.expect:
@@ -215,7 +218,7 @@ class Recorder(Session):
         for exchange in self._looks:
             if before.observe(replace(exchange, time=time)) is not None:
                 return False
-        if not before.settled(time, unread=self._unread):
+        if before.to_come(time, unread=self._unread):
             return False
         timers = cycle is None and any(
             pending.timer and not is_idle(self.model, candidate.state, pending.event)
@@ -299,7 +302,7 @@ class Recorder(Session):
         if exchange.address == self._area(MAIN_IN)[0]:
             before, self._full_before = self._full_before or before, None
             return self._remembered(before, exchange, self._message)
-        if before.process_area(DATA_IN) == exchange.span():
+        if before.known.process_area(DATA_IN) == exchange.span():
             return self._remembered(before, exchange, self._inputs)
         return self._remembered(before, exchange, self._registers)
 
@@ -391,7 +394,8 @@ class Recorder(Session):
     def _possible(self, before: Oracle, exchange: Exchange) -> Explanations:
         """Give the explanations, with what a device may have done by itself."""
         other = replace(before)
-        other.candidates = other.befallen(exchange.time)
+        expanded = other.expanded(exchange.time)
+        other.candidates = surprised(self.model, expanded, exchange.time, other.raised)
         return other.expanded(exchange.time)
 
     def _size(self, data: bytes) -> int:
@@ -597,3 +601,13 @@ class _Draft:
     us: int = 0
     cycle: Cycle | None = None
     expect: list[Expected] = field(default_factory=list)
+
+
+def _busy_until(oracle: Oracle, time: int) -> int:
+    """Give the time (us) by which all is done that a device may be busy with; `time`: nothing."""
+    for _ in range(_ROUNDS):
+        deadlines = oracle.to_come(time)
+        if not deadlines:
+            break
+        time = max(deadlines) + 1
+    return time

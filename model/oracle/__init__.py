@@ -1,0 +1,1 @@
+"""Judging: which states explain all that was exchanged with a device so far."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
+
+from msgspec import Struct, structs
 
 if TYPE_CHECKING:
     from ecatspec.model.state import Event, Output, RuleName, State, Step
@@ -26,8 +28,7 @@ class Exchange:
         return self.address, len(self.data)
 
 
-@dataclass(frozen=True, slots=True)
-class Pending:
+class Pending(Struct, frozen=True, cache_hash=True):
     """An input that the device has, and until when it may leave it unserved (`within` from now).
 
     A `timer` comes by itself, not before `since`; for others that is when they came.
@@ -40,15 +41,6 @@ class Pending:
     timer: bool = False
     optional: bool = False
     """It may have been served already, when too much was possible to follow."""
-    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
-
-    def __hash__(self) -> int:
-        """Give the hash of what tells inputs apart, worked out once."""
-        value = self._hash
-        if value is None:
-            value = hash((self.event, self.deadline, self.since, self.timer))
-            object.__setattr__(self, "_hash", value)
-        return value
 
     def target(self) -> tuple[str, str]:
         """Give the machine and the input."""
@@ -65,8 +57,7 @@ class Loose(IntEnum):
     """Anything: the beginning was not seen, or the mailbox is not alive."""
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(Struct, frozen=True, cache_hash=True):
     """One explanation: a state, inputs not yet served, replies not yet read.
 
     The first reply lies in the mailbox, at the latest from `ready` on. `last` is the message that
@@ -81,29 +72,16 @@ class Candidate:
     last: bytes | None = None
     befell: tuple[str, ...] = ()
     """What befell the device without anybody having raised it."""
-    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
-
-    def __hash__(self) -> int:
-        """Give the hash of what mostly tells explanations apart, worked out once."""
-        value = self._hash
-        if value is None:
-            value = hash((self.state, self.inbox, self.outbox, self.ready))
-            object.__setattr__(self, "_hash", value)
-        return value
 
     def having(self, state: State) -> Candidate:
         """Give the explanation with another state."""
         if state is self.state:
             return self
-        return Candidate(
-            state, self.inbox, self.outbox, self.loose, self.ready, self.last, self.befell
-        )
+        return structs.replace(self, state=state)
 
     def expecting(self, inbox: tuple[Pending, ...]) -> Candidate:
         """Give the explanation with other inputs to serve."""
-        return Candidate(
-            self.state, inbox, self.outbox, self.loose, self.ready, self.last, self.befell
-        )
+        return structs.replace(self, inbox=inbox)
 
     def beside_inbox(self) -> tuple[object, ...]:
         """Give all but the inputs to serve."""

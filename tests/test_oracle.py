@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec import structs
 
 from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import make
@@ -1147,7 +1148,7 @@ def test_a_reply_that_is_due_is_missed_however_often_its_mailbox_was_empty() -> 
     oracle, now = session.oracle, session.time
     due = Output("mailbox_error", (), RuleName("mailbox", "mail_refused"))
     (candidate,) = oracle.candidates
-    oracle.candidates = {replace(candidate, outbox=(due,), ready=now + 100): ()}
+    oracle.candidates = {structs.replace(candidate, outbox=(due,), ready=now + 100): ()}
     status = model.protocol.registers[f"{SYNC_MANAGERS[1]}_status"]
     empty = bytes(status.size)
     found = [

@@ -565,7 +565,7 @@ def _alike(candidates: Iterable[Candidate]) -> frozenset[Candidate]:
 
 
 def _bare(candidate: Candidate) -> Candidate:
-    return replace(candidate, last=None)
+    return msgspec.structs.replace(candidate, last=None)
 
 
 def _tells(expected: Read) -> bool:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
+
+from msgspec import structs
 
 from ecatspec.model.candidates import Loose
 from ecatspec.model.feeding import widened
@@ -67,7 +68,7 @@ def _strayed(
 ) -> Iterator[tuple[Candidate, tuple[RuleName, ...]]]:
     """Yield what a device may be that goes on otherwise than an explanation has it."""
     yield from _answered(model, candidate, history)
-    yield replace(candidate, loose=Loose.ONE), history
+    yield structs.replace(candidate, loose=Loose.ONE), history
     yield candidate.expecting(()), history
     for position, pending in enumerate(candidate.inbox):
         others = candidate.inbox[:position] + candidate.inbox[position + 1 :]

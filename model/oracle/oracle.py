@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
+from msgspec import structs
+
 from ecatspec.model.candidates import Candidate, Exchange, Loose
 from ecatspec.model.esc import field_of
 from ecatspec.model.feeding import fed, widened
@@ -144,7 +146,7 @@ class Oracle:
         if found is None:
             # too many explanations to follow: nothing is known, so nobody is blamed
             inputs = {
-                (*pending.target(), pending.deadline): replace(pending, optional=True)
+                (*pending.target(), pending.deadline): structs.replace(pending, optional=True)
                 for candidate in self.candidates
                 for pending in candidate.inbox
             }
@@ -366,7 +368,7 @@ class Oracle:
                 due, *rest = candidate.outbox
                 for taken in afterwards(self.model, candidate.state, due, {}):
                     gone = left(self.model, candidate, taken, tuple(rest), 0)
-                    after.setdefault(replace(gone, last=None), history + taken.rules)
+                    after.setdefault(structs.replace(gone, last=None), history + taken.rules)
         self.candidates = after
 
     def perhaps_written(self, exchange: Exchange) -> None:
@@ -386,9 +388,10 @@ class Oracle:
         ):
             return
         self._right = {}
+        last = {c: {rule.machine: rule for rule in h} for c, h in self.candidates.items()}
         self.candidates = {
-            replace(candidate, befell=()): tuple({rule.machine: rule for rule in history}.values())
-            for candidate, history in self.candidates.items()
+            structs.replace(candidate, befell=()): tuple(rules.values())
+            for candidate, rules in last.items()
         }
 
     # --- past a mismatch --------------------------------------------------------------------------

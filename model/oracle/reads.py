@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec import structs
 
 from ecatspec.model.candidates import Loose, Pending, with_alarms
 from ecatspec.model.interpreter import matches, step
@@ -102,11 +103,11 @@ def read_message(
         nothing = message is None and is_shut(model, candidate.state)
         if nothing or may_hold_anything(model, candidate):
             loose = Loose.NONE if candidate.loose is Loose.ONE else candidate.loose
-            rest = replace(candidate, outbox=candidate.outbox[1:], loose=loose, last=data)
+            rest = structs.replace(candidate, outbox=candidate.outbox[1:], loose=loose, last=data)
             after[rest] = history
         elif message is not None:
             for rest, rules in _taken(model, candidate, message, time):
-                after[replace(rest, last=data)] = history + rules
+                after[structs.replace(rest, last=data)] = history + rules
     return after
 
 
@@ -122,10 +123,10 @@ def left(
     else:
         ready = 0
         inbox = tuple(
-            replace(p, deadline=max(p.deadline, time + p.within)) if p.event.trail else p
+            structs.replace(p, deadline=max(p.deadline, time + p.within)) if p.event.trail else p
             for p in inbox
         )
-    return replace(candidate, state=state, inbox=inbox, outbox=outbox, ready=ready)
+    return structs.replace(candidate, state=state, inbox=inbox, outbox=outbox, ready=ready)
 
 
 def _is_absent(model: Model, state: State) -> bool:
@@ -137,9 +138,9 @@ def _owing(model: Model, candidate: Candidate, time: int, *, full: bool) -> Cand
     if full or not candidate.loose:
         return candidate
     if candidate.loose is Loose.ONE and is_shut(model, candidate.state):
-        return replace(candidate, loose=Loose.NONE)
+        return structs.replace(candidate, loose=Loose.NONE)
     gone = candidate.outbox and time > candidate.ready
-    return replace(candidate, outbox=()) if gone else candidate
+    return structs.replace(candidate, outbox=()) if gone else candidate
 
 
 def _taken(
@@ -177,7 +178,7 @@ def surprised(
                 continue
             hit = candidate
             if event not in model.own:
-                hit = replace(candidate, befell=(*candidate.befell, name))
+                hit = structs.replace(candidate, befell=(*candidate.befell, name))
             pending = Pending(event, time, since=time)
             for rest, rules in served(model, hit, pending, candidate.inbox):
                 if rules and rest.state != candidate.state:

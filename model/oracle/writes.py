@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
+
+from msgspec import structs
 
 from ecatspec.model.candidates import Loose, Pending
 from ecatspec.model.compiled import MAILBOX
@@ -62,7 +63,7 @@ def write_registers(
         if is_alive(model, state) != is_alive(model, candidate.state):
             # a mailbox that went, or came back, without a start: nothing is known of it
             lost = forgotten(model, state, MAILBOX)
-            changed = replace(changed, state=lost, outbox=(), loose=Loose.ALL, last=None)
+            changed = structs.replace(changed, state=lost, outbox=(), loose=Loose.ALL, last=None)
         looks = tuple(Event(machine, source.name, parameters) for machine, source in inputs)
         for events in _orders(looks, glances):
             found = [changed]
@@ -205,7 +206,7 @@ def write_mailbox(
             continue
         message = model.decode(exchange.data)
         if message is None:
-            after[replace(candidate, loose=Loose.ALL)] = history
+            after[structs.replace(candidate, loose=Loose.ALL)] = history
             continue
         waiting = any(pending.event.trail for pending in candidate.inbox)
         event = model.mail(message, crowded=bool(candidate.outbox or waiting))

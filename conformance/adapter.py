@@ -14,6 +14,11 @@ from typing import TYPE_CHECKING, Final, Protocol, Self
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    Span = tuple[int, int]
+    """An address, and how many bytes from there."""
+    Reading = tuple[int, bytes]
+    """What a read gave: working counter and bytes."""
+
 LIMITS: Final[Mapping[str, int]] = MappingProxyType({"initiate_data": 0, "segment_data": 1})
 """What a description may limit on the way to a device, and the fewest bytes that get through."""
 ADDRESS_SPACE: Final = 1 << 16
@@ -82,6 +87,8 @@ class Description:
     """Local events, `machine.input` as in the texts, that `local` can make befall the device."""
     batch: bool = False
     """True: the adapter answers `read_all` quicker than single reads."""
+    advance_until: bool = False
+    """True: the adapter answers `advance_until` quicker than the steps one by one."""
     power_cycles: bool = True
     """False: `reset` may leave something of what was before, so nothing is blamed for sure."""
 
@@ -97,6 +104,7 @@ class Description:
             "without": list(self.without),
             "locals": sorted(self.locals),
             "batch": self.batch,
+            "advance_until": self.advance_until,
             "power_cycles": self.power_cycles,
         }
 
@@ -121,6 +129,7 @@ class Description:
             without=_texts(data, "without"),
             locals=frozenset(_texts(data, "locals")),
             batch=_truth({"batch": False, **data}, "batch"),
+            advance_until=_truth({"advance_until": False, **data}, "advance_until"),
             power_cycles=_truth({"power_cycles": True, **data}, "power_cycles"),
         )
 
@@ -161,11 +170,61 @@ def raise_local(adapter: Adapter, event: str) -> None:
     local(event)
 
 
-def read_all(adapter: Adapter, spans: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
+def read_all(adapter: Adapter, spans: Sequence[Span]) -> list[Reading]:
     """Read one span after the other; at once, where the adapter has the method `reads(spans)`."""
-    reads: Callable[[Sequence[tuple[int, int]]], list[tuple[int, bytes]]] | None
+    reads: Callable[[Sequence[Span]], list[Reading]] | None
     reads = getattr(adapter, "reads", None)
     return [adapter.read(*span) for span in spans] if reads is None else reads(spans)
+
+
+def advance_until(
+    adapter: Adapter,
+    steps: Sequence[float],
+    seen: Mapping[Span, Reading],
+    mark: Callable[[], None] = lambda: None,
+) -> tuple[int, list[Reading]]:
+    """Let time pass in steps, each with a look behind it, until a look gives other than `seen`.
+
+    At once, where the adapter has the method `advance_until(steps, seen, mark)`.
+
+    Args:
+        adapter: The device.
+        steps: Seconds, one step or more; the last ends it, whatever the look behind it gives.
+        seen: What a look reads, in this order, and what each read gave last.
+        mark: Called after each step, and after each look that gave what was `seen`, so that it is
+            known where the device was when it died: at the latest with the fault that is raised.
+
+    Returns:
+        How many steps passed, and what the look behind the last of them gave.
+
+    Raises:
+        AdapterError: There is no step, or a step or a span is none.
+        DeviceFault: What the device did instead.
+
+    """
+    check_steps(steps)
+    own: Callable[..., tuple[int, list[Reading]]] | None
+    own = getattr(adapter, "advance_until", None)
+    if own is not None:
+        passed, found = own(steps, seen, mark)
+        return passed, found
+    expected = list(seen.values())
+    for passed, seconds in enumerate(steps, 1):
+        adapter.advance(seconds)
+        mark()
+        found = read_all(adapter, tuple(seen))
+        if found != expected:
+            return passed, found
+        mark()
+    return len(steps), expected
+
+
+def check_steps(steps: Sequence[float]) -> None:
+    """Refuse to let time pass in no step, or in one that does not pass forward."""
+    if not steps:
+        raise AdapterError("advance_until without a step; give one number of seconds or more")
+    for seconds in steps:
+        check_duration(seconds)
 
 
 def check_span(address: int, length: int) -> None:

@@ -19,14 +19,14 @@ import time
 import traceback
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.adapter import AdapterError, raise_local
+from ecatspec.conformance.adapter import AdapterError, advance_until, raise_local
 from ecatspec.conformance.adapters import FACTORIES
 from ecatspec.conformance.dying import tell_the_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.adapter import Adapter, Reading
 
 CRASHED: Final = 70
 USAGE: Final = 2
@@ -51,14 +51,14 @@ def main(arguments: list[str] | None = None) -> int:
     if name == "lib":
         tell_the_stack()
     try:
-        serve = _server(name, text)
+        serve = _server(name, text, lambda: _write(replies, b" "))
     except AdapterError as error:
         serve = _refusal(str(error))
     except Exception as error:  # noqa: BLE001  nothing of the device has run yet: set-up trouble
         serve = _refusal(f"cannot set up {name!r}: {_told(error)}")
     try:
         for line in _lines(requests):
-            _send(replies, serve(json.loads(line)))
+            _write(replies, serve(json.loads(line)).encode("utf-8") + b"\n")
     except BaseException:  # noqa: BLE001  the device's exception: say it and die of it
         traceback.print_exc()
         sys.stderr.flush()
@@ -86,7 +86,7 @@ def _end_with_the_run(requests: int) -> None:
     os._exit(CRASHED)
 
 
-def _server(name: str, text: str) -> Callable[[dict[str, object]], str]:
+def _server(name: str, text: str, mark: Callable[[], None]) -> Callable[[dict[str, object]], str]:
     arguments = json.loads(text)
     make = FACTORIES.get(name)
     if make is None:
@@ -96,7 +96,7 @@ def _server(name: str, text: str) -> Callable[[dict[str, object]], str]:
 
     def serve(request: dict[str, object]) -> str:
         try:
-            return _perform(adapter, request)
+            return _perform(adapter, request, mark)
         except AdapterError as error:
             return json.dumps({"ok": False, "error": str(error)})
 
@@ -118,11 +118,10 @@ def _refusal(reason: str) -> Callable[[dict[str, object]], str]:
     return lambda _: reply
 
 
-def _perform(adapter: Adapter, request: dict[str, object]) -> str:
+def _perform(adapter: Adapter, request: dict[str, object], mark: Callable[[], None]) -> str:
     match request:
         case {"op": "read", "address": int(address), "length": int(length)}:
-            working_counter, data = adapter.read(address, length)
-            return f'{{"ok":true,"wkc":{working_counter:d},"data":"{data.hex()}"}}'
+            return _read(adapter.read(address, length))
         case {"op": "write", "address": int(address), "data": str(text)}:
             return f'{{"ok":true,"wkc":{adapter.write(address, bytes.fromhex(text)):d}}}'
         case {"op": "advance", "seconds": float(seconds) | int(seconds)}:
@@ -134,15 +133,28 @@ def _perform(adapter: Adapter, request: dict[str, object]) -> str:
         case {"op": "close"}:
             adapter.close()
         case {"op": "describe"}:
-            described = {**adapter.describe().to_json(), "batch": True}
+            described = {**adapter.describe().to_json(), "batch": True, "advance_until": True}
             return json.dumps({"ok": True, "description": described})
         case {"op": "batch", "calls": list(calls)}:
-            results = ",".join(_perform(adapter, call) for call in calls)
+            results = ",".join(_perform(adapter, call, mark) for call in calls)
             return f'{{"ok":true,"results":[{results}]}}'
+        case {"op": "advance_until", "steps": list(steps), "seen": list(shown)}:
+            seen = {
+                (each["address"], each["length"]): (each["wkc"], bytes.fromhex(each["data"]))
+                for each in shown
+            }
+            passed, found = advance_until(adapter, steps, seen, mark)
+            results = ",".join(map(_read, found))
+            return f'{{"ok":true,"passed":{passed:d},"results":[{results}]}}'
         case _:
             message = f"no such request: {request!r}"
             raise AdapterError(message)
     return '{"ok":true}'
+
+
+def _read(reading: Reading) -> str:
+    working_counter, data = reading
+    return f'{{"ok":true,"wkc":{working_counter:d},"data":"{data.hex()}"}}'
 
 
 def _lines(descriptor: int) -> Iterator[bytes]:
@@ -152,8 +164,7 @@ def _lines(descriptor: int) -> Iterator[bytes]:
         yield from lines
 
 
-def _send(descriptor: int, reply: str) -> None:
-    data = reply.encode("utf-8") + b"\n"
+def _write(descriptor: int, data: bytes) -> None:
     while data:
         data = data[os.write(descriptor, data) :]
 

@@ -10,9 +10,15 @@ One request, one reply, one line each:
     {"op":"local","event":"ds402.fault"}          {"ok":true}
     {"op":"close"}                                {"ok":true}
     {"op":"batch","calls":[...]}                  {"ok":true,"results":[...]}
+    {"op":"advance_until","steps":[0.0005,0.2],"seen":[...]}
+                                                  {"ok":true,"passed":2,"results":[...]}
 
-The last is asked only of a device whose description has `batch`: each call is a request, each
-result its reply.
+The last two are asked only of a device whose description has `batch` or `advance_until`. Of a
+batch each call is a request, each result its reply. `advance_until` advances by one step after the
+other and reads after each what was `seen` (address, length, wkc, data), until a read gives
+something else: `passed` are the steps until then, the results the replies to the last reads. The
+device writes a space as soon as a step has passed, another when the reads behind it gave what was
+seen, and its answer behind these.
 
 A reply {"ok":false,"error":"text"} says that the call or the set-up was wrong: AdapterError.
 Everything else that is not such a reply is a fault of the device: it ended (DeviceCrash), it
@@ -38,11 +44,17 @@ from ecatspec.conformance.adapter import (
     DeviceRubbish,
     check_duration,
     check_span,
+    check_steps,
 )
 from ecatspec.conformance.stacks import crash, own_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    from ecatspec.conformance.adapter import Reading, Span
+
+    Mark = Callable[[], float]
+    """It is told of a sign of life, and gives the seconds within which the next must come."""
 
 MAXIMUM_LINE: Final = 1 << 20
 CHUNK: Final = 1 << 16
@@ -75,8 +87,11 @@ class UnboundError(Exception):
 class Link(Protocol):
     """One life of a way to a device."""
 
-    def exchange(self, request: bytes, timeout: float) -> bytes:
-        """Send one line and return the one that answers it: Ended, SilentError, UnboundError."""
+    def exchange(self, request: bytes, timeout: float, mark: Mark | None = None) -> bytes:
+        """Send one line and return the one that answers it: Ended, SilentError, UnboundError.
+
+        With `mark` each space before the answer is a sign of life, and told.
+        """
 
     def end_of_silence(self) -> str:
         """Say in words how the device ended whose output ended, and leave nothing behind."""
@@ -115,12 +130,50 @@ class LineAdapter:
         check_span(address, length)
         return self._read_in(self._exchange(f"{_read_request(address, length)}\n"), length)
 
-    def reads(self, spans: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
+    def reads(self, spans: Sequence[Span]) -> list[Reading]:
         """Read several spans one after the other, by one line."""
         for span in spans:
             check_span(*span)
         calls = ",".join(_read_request(*span) for span in spans)
-        results = self._exchange(f'{{"op":"batch","calls":[{calls}]}}\n').get("results")
+        return self._read_in_all(self._exchange(f'{{"op":"batch","calls":[{calls}]}}\n'), spans)
+
+    def advance_until(
+        self, steps: Sequence[float], seen: Mapping[Span, Reading], mark: Callable[[], None]
+    ) -> tuple[int, list[Reading]]:
+        """Advance in steps until a look gives other than was seen, by one line."""
+        check_steps(steps)
+        for span in seen:
+            check_span(*span)
+        shown = ",".join(
+            f'{{"address":{address:d},"length":{length:d},"wkc":{wkc:d},"data":"{data.hex()}"}}'
+            for (address, length), (wkc, data) in seen.items()
+        )
+        took = [each for seconds in steps for each in (seconds, 0.0)]
+        marks = 0
+
+        def marked() -> float:
+            nonlocal marks
+            marks += 1
+            if marks > len(took):
+                raise UnboundError(f"more than {len(took)} spaces came for {len(steps)} steps")
+            mark()
+            return (*took, 0.0)[marks]
+
+        request = f'{{"op":"advance_until","steps":{json.dumps(list(steps))},"seen":[{shown}]}}\n'
+        reply = self._exchange(request, extra=took[0], mark=marked)
+        found = self._read_in_all(reply, tuple(seen))
+        passed = reply.get("passed")
+        if type(passed) is not int or not 0 < passed <= len(steps):
+            self._rubbish(f"the steps that passed are no number from 1 to {len(steps)}: {passed!r}")
+        same = found == list(seen.values())
+        if same and passed < len(steps):
+            self._rubbish(f"it stopped after {passed} of {len(steps)} steps, and nothing is new")
+        if marks != 2 * passed - (not same):
+            self._rubbish(f"{marks} spaces came before the answer, for {2 * passed - (not same)}")
+        return passed, found
+
+    def _read_in_all(self, reply: dict[str, object], spans: Sequence[Span]) -> list[Reading]:
+        results = reply.get("results")
         if not isinstance(results, list) or len(results) != len(spans):
             self._rubbish(f"the results of {len(spans)} calls are no list of as many")
         return [
@@ -128,7 +181,7 @@ class LineAdapter:
             for result, (_, length) in zip(results, spans, strict=True)
         ]
 
-    def _read_in(self, reply: dict[str, object], length: int) -> tuple[int, bytes]:
+    def _read_in(self, reply: dict[str, object], length: int) -> Reading:
         working_counter = self._working_counter(reply)
         text = reply.get("data")
         if not isinstance(text, str):
@@ -175,17 +228,31 @@ class LineAdapter:
         if link is not None:
             link.end(politely=True)
 
-    def _exchange(self, request: str, *, extra: float = 0.0) -> dict[str, object]:
+    def _exchange(
+        self, request: str, *, extra: float = 0.0, mark: Mark | None = None
+    ) -> dict[str, object]:
+        """Give the answer to a request; `extra` seconds it may take more, and `mark` gives others.
+
+        They are those for what follows the space that `mark` is told of.
+        """
+        timeout = self._hang_timeout + extra
+
+        def marked() -> float:
+            nonlocal timeout
+            assert mark is not None
+            timeout = self._hang_timeout + mark()
+            return timeout
+
         link = self._link
         if link is None:
             reason = f"the device is not running ({self._obituary}); reset starts it again"
             raise DeviceCrash(reason)
         try:
-            line = link.exchange(request.encode("ascii"), self._hang_timeout + extra)
+            line = link.exchange(request.encode("ascii"), timeout, mark and marked)
         except Ended as ended:
             self._crash(link, ended)
         except SilentError:
-            self._kill(reason := f"no answer within {self._hang_timeout + extra:g} s")
+            self._kill(reason := f"no answer within {timeout:g} s")
             raise DeviceHang(reason) from None
         except UnboundError as error:
             self._rubbish(str(error))
@@ -253,8 +320,11 @@ class Lines:
         self._answers = select.poll()
         self._answers.register(replies, select.POLLIN)
 
-    def exchange(self, request: bytes, timeout: float) -> bytes:
-        """Send one line and return the one line that answers it."""
+    def exchange(self, request: bytes, timeout: float, mark: Mark | None = None) -> bytes:
+        """Send one line and return the one line that answers it.
+
+        With `mark` each space before the answer is a sign of life, and told.
+        """
         if self._answers.poll(0):
             # End of file, or output that nobody asked for.
             unasked = self._read()
@@ -267,7 +337,7 @@ class Lines:
             self._send(request, deadline)
         except (BrokenPipeError, ConnectionResetError):
             raise Ended(0) from None
-        return self._receive(deadline)
+        return self._receive(deadline, mark)
 
     def _read(self) -> bytes:
         try:
@@ -286,7 +356,7 @@ class Lines:
             if not room.poll(_milliseconds(deadline)):
                 raise SilentError
 
-    def _receive(self, deadline: float) -> bytes:
+    def _receive(self, deadline: float, mark: Mark | None) -> bytes:
         line = b""
         # A quick device answers before a sleep and a wake-up would be over: look first.
         for _ in range(_LOOKS):
@@ -298,6 +368,10 @@ class Lines:
             chunk = self._read()
             if not chunk:
                 raise Ended(len(line))
+            if mark is not None and not line:
+                chunk, spaces = chunk.lstrip(b" "), len(chunk)
+                for _ in range(spaces - len(chunk)):
+                    deadline = time.monotonic() + mark()
             line = line + chunk if line else chunk
             end = chunk.find(b"\n")
             if end >= 0:

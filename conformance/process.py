@@ -21,6 +21,8 @@ from ecatspec.conformance.lines import CHUNK, CLOSE, LineAdapter, Lines
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from ecatspec.conformance.lines import Mark
+
 STDERR_KEPT: Final = 64 << 10
 _GRACE: Final = 0.5
 """Seconds a process gets to end by itself before the next, harder, step."""
@@ -89,9 +91,9 @@ class _Child:
             process.wait()
             raise
 
-    def exchange(self, request: bytes, timeout: float) -> bytes:
+    def exchange(self, request: bytes, timeout: float, mark: Mark | None = None) -> bytes:
         """Send one line and return the one line that answers it."""
-        return self._lines.exchange(request, timeout)
+        return self._lines.exchange(request, timeout, mark)
 
     def end_of_silence(self) -> str:
         """Say in words how the process ended whose output ended."""

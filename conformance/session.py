@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import monotonic
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.conformance.adapter import AdapterError, DeviceFault, raise_local, read_all
+from ecatspec.conformance.adapter import (
+    AdapterError,
+    DeviceFault,
+    advance_until,
+    raise_local,
+    read_all,
+)
 from ecatspec.conformance.verdict import BEFALLEN, MAIN_DEVICE, REASON, SUB_DEVICE, WAITS, TraceLine
 from ecatspec.generators.case import (
     Happen,
@@ -51,9 +58,9 @@ from ecatspec.model.values import bits_of
 from ecatspec.model.words import message_words, register_words
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.adapter import Adapter, Reading, Span
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
     from ecatspec.model.oracle.oracle import Oracle
@@ -153,8 +160,15 @@ class Session:
     _hurries: bool = False
     _batches: bool = False
     """The device can be asked for several reads at once."""
-    _ahead: dict[tuple[int, int], tuple[int, bytes]] = field(default_factory=dict)
+    _ahead: dict[Span, Reading] = field(default_factory=dict)
     """What was read at once and not looked at yet."""
+    _seen: dict[Span, Reading] = field(default_factory=dict)
+    """What looks gave last."""
+    _runs_ahead: bool = False
+    """The device can be asked for several waits at once, each with a look behind it."""
+    _passed: deque[dict[Span, Reading] | Exception] = field(default_factory=deque)
+    """What waits and looks gave that the device has behind it and the session has not: in turn
+    nothing and what was read, and last perhaps what went wrong."""
     _began: float | None = None
     """When the clock of a device in real time was 0; None: time passes by waiting alone."""
 
@@ -191,7 +205,11 @@ class Session:
         self.time = 0
         description = self.adapter.describe()
         self._batches = description.batch
+        # in real time it is the clock that tells when a look was
+        self._runs_ahead = description.advance_until and description.virtual_time
         self._ahead = {}
+        self._seen = {}
+        self._passed.clear()
         self._began = None if description.virtual_time else monotonic()
         self.forget_trace()
         self.attempt = None
@@ -461,12 +479,16 @@ class Session:
         left = self.oracle.known.open_until(self.time) - self.time
         if left > 0:
             self._wait(left + 1)
-        for _ in range(LOOKS):
+        for left in reversed(range(LOOKS)):
             self._look(unread=unread)
             coming = self.oracle.to_come(self.time, unread=unread)
             self._keep_up()
             if not coming:
                 break
+            if self._runs_ahead and not self._passed:
+                waits = self._foreseen(wait, coming, unread=unread)[:left]
+                if waits:
+                    self._run_ahead(waits)
             self._wait(min(wait, min(coming) - self.time + 1))
             wait *= _SLOWER[self._virtual]
         else:
@@ -475,13 +497,67 @@ class Session:
             why = "a reply is due, and whether it is there cannot be seen: working counter 0"
             raise InconclusiveError(why)
 
+    def _foreseen(self, wait: int, coming: Collection[int], *, unread: bool) -> list[int]:
+        """Give the waits, in microseconds, that follow while looks give what they gave last.
+
+        They end with the first behind which something must have come: what is to be done then the
+        oracle has to tell, and until then what it makes of a look that shows nothing new costs
+        next to nothing. No wait: what a look begins with is not all that is done meanwhile.
+        """
+        looked = {span: self._seen.get(span) for span in self._spans(self.oracle)}
+        shown = {span: reading for span, reading in looked.items() if reading is not None}
+        full = field_of(self.model.protocol, _MAIL[0], "full", self._shown.get(_MAIL[0], 0))
+        if self._outputs is not None or len(shown) < len(looked) or (full and not unread):
+            return []
+        oracle, time = _kept(self.oracle), self.time
+        waits: list[int] = []
+        while coming and not oracle.lost:
+            left = min(coming) - time + 1
+            waits.append(min(wait, left))
+            if wait >= left:
+                break
+            time += wait
+            wait *= _SLOWER[self._virtual]
+            for (address, _), (counter, data) in shown.items():
+                read = Exchange(
+                    time, write=False, address=address, data=data, working_counter=counter
+                )
+                if oracle.observe(read) is not None or self._spans(oracle) != tuple(shown):
+                    return waits
+            coming = oracle.to_come(time, unread=unread)
+        return waits
+
+    def _run_ahead(self, waits: Sequence[int]) -> None:
+        """Let the device go through these waits by one exchange, as far as looks show nothing new.
+
+        `_wait` and `_look` take from `_passed` what came of it, step by step.
+        """
+        seen = {span: self._seen[span] for span in self._spans(self.oracle)}
+        marks = 0
+
+        def mark() -> None:
+            nonlocal marks
+            self._passed.append(seen if marks % 2 else {})
+            marks += 1
+
+        steps = [wait / _SECOND for wait in waits]
+        try:
+            passed, found = advance_until(self.adapter, steps, seen, mark)
+        except (AdapterError, DeviceFault) as error:
+            self._passed.append(error)
+        else:
+            if marks < 2 * passed:
+                self._passed.append(dict(zip(seen, found, strict=True)))
+
     def _keep_up(self) -> None:
         """End the case where there was too much to follow: nothing is known from there on."""
         if self.oracle.lost:
             raise InconclusiveError(TOO_MUCH)
 
     def _look(self, *, unread: bool = False) -> None:
-        if self._batches:
+        if self._passed:
+            self._ahead = self._next_passed().copy()
+        elif self._batches:
             self._read_ahead()
         self._look_at_all(unread=unread)
         self._ahead = {}
@@ -511,19 +587,32 @@ class Session:
                 why = f"the device sends messages without end: {UNASKED} were unsolicited"
                 raise InconclusiveError(why)
 
+    def _next_passed(self) -> dict[Span, Reading]:
+        """Give what the next of the waits and looks gave that the device has behind it."""
+        given = self._passed.popleft()
+        if isinstance(given, Exception):
+            raise given
+        return given
+
     def _read_ahead(self) -> None:
         """Read by one exchange with the adapter what a look begins with."""
-        inputs = self.oracle.known.process_area(DATA_IN)
-        spans = (self._span(*AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
+        spans = self._spans(self.oracle)
         self._tick()
         self._ahead = dict(zip(spans, read_all(self.adapter, spans), strict=True))
 
-    def _read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Read, if it was not read ahead."""
-        found = self._ahead.pop((address, length), None)
-        return self.adapter.read(address, length) if found is None else found
+    def _spans(self, oracle: Oracle) -> tuple[Span, ...]:
+        """Give what a look begins with, in order, as this oracle has it."""
+        inputs = oracle.process_area(DATA_IN)
+        return (self._span(*AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
 
-    def _span(self, *names: str) -> tuple[int, int]:
+    def _read(self, address: int, length: int) -> Reading:
+        """Read, if it was not read ahead."""
+        span = address, length
+        found = self._ahead.pop(span, None)
+        self._seen[span] = self.adapter.read(address, length) if found is None else found
+        return self._seen[span]
+
+    def _span(self, *names: str) -> Span:
         """Give where registers lie, the lowest first: address and length."""
         first, last = (self.model.protocol.registers[name] for name in (names[0], names[-1]))
         return first.address, last.address + last.size - first.address
@@ -638,12 +727,25 @@ class Session:
         while self.time < until:
             self._cycles -= 1
             part = min(self._every, until - self.time)
-            self.adapter.advance(part / _SECOND)
+            if self._passed:
+                self._next_passed()
+            else:
+                self.adapter.advance(part / _SECOND)
             self.time += part
             self._write_outputs()
 
     def _say(self, who: str, what: str | Callable[[], str], data: bytes = b"") -> None:
         self._told.append((self.time, who, what, data))
+
+
+def _kept(oracle: Oracle) -> Oracle:
+    """Give an oracle that goes its own way from here; what it comes to changes nothing in this."""
+    return replace(
+        oracle,
+        advice=oracle.advice.copy(),
+        _right=oracle._right.copy(),  # noqa: SLF001
+        _idle=oracle._idle.copy(),  # noqa: SLF001
+    )
 
 
 def _writes(model: Model, *writes: WriteRegister) -> str:

@@ -24,6 +24,8 @@ from ecatspec.conformance.lines import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ecatspec.conformance.lines import Mark
+
 _PAUSE: Final = 0.02
 """Seconds between two attempts to connect."""
 _GRACE: Final = 0.5
@@ -101,9 +103,9 @@ class _Connection:
         self._socket = connection
         self._lines = Lines(connection.fileno(), connection.fileno())
 
-    def exchange(self, request: bytes, timeout: float) -> bytes:
+    def exchange(self, request: bytes, timeout: float, mark: Mark | None = None) -> bytes:
         """Send one line and return the one line that answers it."""
-        return self._lines.exchange(request, timeout)
+        return self._lines.exchange(request, timeout, mark)
 
     def end_of_silence(self) -> str:
         """Close: why the other end did so is not to be seen from here."""

@@ -202,12 +202,22 @@ def advance_until(
         DeviceFault: What the device did instead.
 
     """
-    check_steps(steps)
     own: Callable[..., tuple[int, list[Reading]]] | None
     own = getattr(adapter, "advance_until", None)
     if own is not None:
         passed, found = own(steps, seen, mark)
         return passed, found
+    return step_until(adapter, steps, seen, mark)
+
+
+def step_until(
+    adapter: Adapter,
+    steps: Sequence[float],
+    seen: Mapping[Span, Reading],
+    mark: Callable[[], None],
+) -> tuple[int, list[Reading]]:
+    """Do what `advance_until` says one by one: what its other ways have to be the same as."""
+    check_steps(steps)
     expected = list(seen.values())
     for passed, seconds in enumerate(steps, 1):
         adapter.advance(seconds)

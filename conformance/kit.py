@@ -6,6 +6,7 @@ are arguments.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import (
@@ -13,12 +14,17 @@ from ecatspec.conformance.adapter import (
     AdapterError,
     Description,
     DeviceFault,
+    read_all,
+    step_until,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from ecatspec.conformance.adapter import Adapter
+
+_STEPS: Final = (0.0005, 0.0, 0.2)
+"""Seconds of steps that are done at once and one by one."""
 
 
 def check_adapter(
@@ -98,6 +104,39 @@ def _check_advance(
         yield "advance takes a time that runs backward"
 
 
+def _check_advance_until(
+    adapter: Adapter, spans: Sequence[tuple[int, int]], write: tuple[int, bytes]
+) -> Iterator[str]:
+    """Compare what it gives with the same steps one by one, before and after a change."""
+    if not adapter.describe().advance_until:
+        return
+    own = getattr(adapter, "advance_until", None)
+    if own is None:
+        yield "the description has advance_until, and the adapter no such method"
+        return
+    fresh = dict(zip(spans, read_all(adapter, spans), strict=True))
+    other = {span: (counter + 1, data) for span, (counter, data) in fresh.items()}
+    for seen, written in ((fresh, False), (fresh, True), (other, False)):
+        told = []
+        for way in (partial(step_until, adapter), own):
+            adapter.reset()
+            if written:
+                adapter.write(*write)
+            marks: list[None] = []
+            passed, found = way(_STEPS, seen, partial(marks.append, None))
+            told.append(((passed, len(marks)), found))
+        (stepwise, one_by_one), (at_once, all_at_once) = told
+        if stepwise != at_once:
+            yield f"steps and marks are {at_once} at once and {stepwise} one by one"
+        elif one_by_one != all_at_once:
+            yield "the last look gives something else at once than one by one"
+    try:
+        own((), fresh, lambda: None)
+    except AdapterError:
+        return
+    yield "advance_until takes no step at all"
+
+
 def _check_describe(
     adapter: Adapter, _spans: Sequence[tuple[int, int]], _write: tuple[int, bytes]
 ) -> Iterator[str]:
@@ -154,6 +193,7 @@ CHECKS: Final[
     "write": _check_write,
     "reset": _check_reset,
     "advance": _check_advance,
+    "advance_until": _check_advance_until,
     "describe": _check_describe,
     "refusals": _check_refusals,
     "close": _check_close,

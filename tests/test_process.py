@@ -19,6 +19,7 @@ from ecatspec.conformance.adapter import (
     DeviceFault,
     DeviceHang,
     DeviceRubbish,
+    advance_until,
     read_all,
 )
 from ecatspec.conformance.kit import check_adapter
@@ -231,6 +232,125 @@ def test_results_out_of_the_contract_are_rubbish(device: Make, answer: str, reas
     adapter = device(on_read(body).replace('!= "read"', '!= "batch"'))
     with pytest.raises(DeviceRubbish, match=reason):
         adapter.reads([(0, 1), (1, 1)])
+
+
+# A device in which time changes the first byte: with the third millisecond.
+TIMED = (
+    HEAD
+    + """
+now = 0
+def until(steps, seen):
+    global now
+    for passed, seconds in enumerate(steps, 1):
+        now += seconds
+        memory[0] = now >= 0.003
+        {step}
+        sys.stdout.write(" ")
+        sys.stdout.flush()
+        found = [memory[c["address"]:][:c["length"]].hex() for c in seen]
+        if found != [c["data"] for c in seen]:
+            break
+        {look}
+        sys.stdout.write(" ")
+        sys.stdout.flush()
+    reply(passed=passed, results=[{"ok": True, "wkc": 1, "data": data} for data in found])
+for line in sys.stdin:
+    request = json.loads(line)
+    if request["op"] == "advance_until":
+        until(request["steps"], request["seen"])
+    else:
+        serve(request)
+"""
+)
+SEEN = {(0, 1): (1, b"\0"), (4, 2): (1, b"\0\0")}
+
+
+def timed(step: str = "pass", look: str = "pass") -> str:
+    return TIMED.replace("{step}", step).replace("{look}", look)
+
+
+def waited(adapter: ProcessAdapter, *steps: float) -> tuple[object, int]:
+    """Let time pass; give what came of it, or the fault, and how often something was marked."""
+    marks: list[None] = []
+    try:
+        return advance_until(adapter, steps, SEEN, lambda: marks.append(None)), len(marks)
+    except DeviceFault as fault:
+        return fault, len(marks)
+
+
+def test_steps_end_where_something_is_new(device: Make) -> None:
+    adapter = device(timed())
+    unchanged = list(SEEN.values())
+    assert waited(adapter, 0.001) == ((1, unchanged), 2)
+    assert waited(adapter, 0.0005, 0.0005) == ((2, unchanged), 4)
+    assert waited(adapter, 0.0001, 0.001, 5.0) == ((2, [(1, b"\1"), (1, b"\0\0")]), 3)
+    assert adapter.read(0, 1) == (1, b"\1")
+
+
+@pytest.mark.parametrize("steps", [(), (-1.0,), (0.1, float("nan"))])
+def test_steps_that_are_none_reach_no_device(device: Make, steps: tuple[float, ...]) -> None:
+    adapter = device(timed("sys.exit(3)"))
+    with pytest.raises(AdapterError, match="seconds"):
+        waited(adapter, *steps)
+    assert adapter.read(0, 1) == (1, b"\0")
+
+
+@pytest.mark.parametrize(
+    ("step", "look", "marks"),
+    [
+        ("if passed == 1: sys.exit(3)", "pass", 0),
+        ("pass", "if passed == 1: sys.exit(3)", 1),
+        ("if passed == 2: sys.exit(3)", "pass", 2),
+        ("pass", "if passed == 2: sys.exit(3)", 3),
+    ],
+)
+def test_where_a_device_died_is_known(device: Make, step: str, look: str, marks: int) -> None:
+    fault, came = waited(device(timed(step, look)), 0.0001, 0.0001)
+    assert str(fault) == "the device ended: exit status 3"
+    assert came == marks
+
+
+def test_a_hang_has_the_time_of_the_step_in_which_it_is(device: Make) -> None:
+    adapter = device(timed("if passed == 2: time.sleep(1000)"), hang_timeout=1.0)
+    fault, marks = waited(adapter, 0.001, 0.125, 1000.0)
+    assert isinstance(fault, DeviceHang)
+    assert (str(fault), marks) == ("no answer within 1.125 s", 2)
+
+
+ONE = '"results":[{"ok":true,"wkc":1,"data":"00"},{"ok":true,"wkc":1,"data":"0000"}]'
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [
+        ("    {}", "neither yes nor why not"),
+        ('    {"ok":true,"passed":2}', "the results of 2 calls are no list of as many"),
+        (f'    {{"ok":true,{ONE}}}', "no number from 1 to 2: None"),
+        (f'    {{"ok":true,"passed":true,{ONE}}}', "no number from 1 to 2: True"),
+        (f'    {{"ok":true,"passed":0,{ONE}}}', "no number from 1 to 2: 0"),
+        (f'    {{"ok":true,"passed":3,{ONE}}}', "no number from 1 to 2: 3"),
+        (f'  {{"ok":true,"passed":1,{ONE}}}', "stopped after 1 of 2 steps, and nothing is new"),
+        (f'{{"ok":true,"passed":2,{ONE}}}', "0 spaces came before the answer, for 4"),
+        (f'   {{"ok":true,"passed":2,{ONE}}}', "3 spaces came before the answer, for 4"),
+        (f'     {{"ok":true,"passed":2,{ONE}}}', "more than 4 spaces came for 2 steps"),
+        (" " * 100_000, "more than 4 spaces came for 2 steps"),
+        ('{"ok":true,"passed":1,"results":[1,2]}', "the answer is not an object: 1"),
+    ],
+)
+def test_wrong_answers_to_steps_are_rubbish(device: Make, answer: str, reason: str) -> None:
+    body = f"sys.stdout.write('{answer}' + chr(10)); sys.stdout.flush()"
+    adapter = device(on_read(body).replace('!= "read"', '!= "advance_until"'))
+    fault, _ = waited(adapter, 0.1, 0.2)
+    assert isinstance(fault, DeviceRubbish)
+    assert reason in str(fault)
+    adapter.reset()
+
+
+def test_a_refusal_of_steps_is_told(device: Make) -> None:
+    body = """sys.stdout.write('  {"ok":false,"error":"no time"}' + chr(10)); sys.stdout.flush()"""
+    adapter = device(on_read(body).replace('!= "read"', '!= "advance_until"'))
+    with pytest.raises(AdapterError, match="no time"):
+        waited(adapter, 0.1, 0.2)
 
 
 def test_a_refusal_is_the_callers_fault(device: Make) -> None:

@@ -164,6 +164,8 @@ class Session:
     """What was read at once and not looked at yet."""
     _seen: dict[Span, Reading] = field(default_factory=dict)
     """What looks gave last."""
+    _mail_waits: bool = False
+    """The mailbox was full when it was looked at last."""
     _runs_ahead: bool = False
     """The device can be asked for several waits at once, each with a look behind it."""
     _passed: deque[dict[Span, Reading] | Exception] = field(default_factory=deque)
@@ -506,8 +508,8 @@ class Session:
         """
         looked = {span: self._seen.get(span) for span in self._spans(self.oracle)}
         shown = {span: reading for span, reading in looked.items() if reading is not None}
-        full = field_of(self.model.protocol, _MAIL[0], "full", self._shown.get(_MAIL[0], 0))
-        if self._outputs is not None or len(shown) < len(looked) or (full and not unread):
+        reads_mail = self._mail_waits and not unread
+        if self._outputs is not None or len(shown) < len(looked) or reads_mail:
             return []
         oracle, time = _kept(self.oracle), self.time
         waits: list[int] = []
@@ -619,7 +621,8 @@ class Session:
 
     def _full(self) -> bool:
         status = self._read_registers(*_MAIL)[0]
-        return bool(field_of(self.model.protocol, _MAIL[0], "full", status))
+        self._mail_waits = bool(field_of(self.model.protocol, _MAIL[0], "full", status))
+        return self._mail_waits
 
     def _read_registers(self, *names: str, demanded: bool = False) -> list[int]:
         """Read registers by one exchange, the lowest first; give what they hold."""

@@ -103,6 +103,17 @@ class Fickle(VirtualAdapter):
         super().advance(seconds)
 
 
+class Shy(Fickle):
+    """A virtual SubDevice whose mailbox says that it is full, and is read the second time only."""
+
+    def read(self, address: int, length: int) -> tuple[int, bytes]:
+        again = self.calls[-8:].count(("read", address, length))
+        if address == model().parameter("mailbox_in", "start") and not again:
+            self.calls.append(("read", address, length))
+            return 0, bytes(length)
+        return super().read(address, length)
+
+
 @cache
 def model() -> Model:
     return Model(load(TEXT))
@@ -138,13 +149,22 @@ def judged(
 def test_a_virtual_device_is_asked_the_same(
     seed: int, fault: str | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one_by_one, at_once = Fickle(seed, fault), Fickle(seed, fault)
+    same(Fickle(seed, fault), Fickle(seed, fault), monkeypatch)
+
+
+def test_a_mailbox_that_is_full_and_not_read_is_looked_at_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    same(Shy(0), Shy(0), monkeypatch)
+
+
+def same(one_by_one: Fickle, at_once: Fickle, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = judged(one_by_one, monkeypatch, at_once=False)
     found = judged(at_once, monkeypatch, at_once=True)
     assert found[:2] == expected[:2]
     assert at_once.calls == one_by_one.calls
     outcomes = {verdict.outcome for verdict in found[0]}
-    assert (Outcome.CRASH in outcomes) == (seed > 0)
+    assert (Outcome.CRASH in outcomes) == (at_once.seed > 0)
 
 
 def patched_slave(folder: Path, file: str, old: str, new: str) -> str:

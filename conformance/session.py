@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from time import monotonic
 from types import MappingProxyType
@@ -511,7 +511,7 @@ class Session:
         reads_mail = self._mail_waits and not unread
         if self._outputs is not None or len(shown) < len(looked) or reads_mail:
             return []
-        oracle, time = _kept(self.oracle), self.time
+        oracle, time = self.oracle.fork(), self.time
         waits: list[int] = []
         while coming and not oracle.lost:
             left = min(coming) - time + 1
@@ -604,7 +604,7 @@ class Session:
 
     def _spans(self, oracle: Oracle) -> tuple[Span, ...]:
         """Give what a look begins with, in order, as this oracle has it."""
-        inputs = oracle.process_area(DATA_IN)
+        inputs = oracle.known.process_area(DATA_IN)
         return (self._span(*AL), *([] if inputs is None else [inputs]), self._span(*_MAIL))
 
     def _read(self, address: int, length: int) -> Reading:
@@ -739,16 +739,6 @@ class Session:
 
     def _say(self, who: str, what: str | Callable[[], str], data: bytes = b"") -> None:
         self._told.append((self.time, who, what, data))
-
-
-def _kept(oracle: Oracle) -> Oracle:
-    """Give an oracle that goes its own way from here; what it comes to changes nothing in this."""
-    return replace(
-        oracle,
-        advice=oracle.advice.copy(),
-        _right=oracle._right.copy(),  # noqa: SLF001
-        _idle=oracle._idle.copy(),  # noqa: SLF001
-    )
 
 
 def _writes(model: Model, *writes: WriteRegister) -> str:

@@ -128,7 +128,7 @@ class Recorder(Session):
             self._cycled = (address, data)
             return counter
         self._close()
-        before = replace(self.oracle)
+        before = self.oracle.fork()
         counter = super()._write(address, data)
         self._draft.given = self._input(before, self._exchange(address, data, counter, write=True))
         return counter
@@ -202,7 +202,7 @@ class Recorder(Session):
             if self._draft.expect:
                 self._close()
             if not self._draft.us:
-                self._since, self._looks = (replace(self.oracle), self.time), []
+                self._since, self._looks = (self.oracle.fork(), self.time), []
             self._wait(until - self.time)
             if self.time > began + _LONGEST:
                 raise RestlessError
@@ -276,7 +276,7 @@ class Recorder(Session):
         if exchange.write:
             super()._observe(exchange)
             return
-        before = replace(self.oracle)
+        before = self.oracle.fork()
         super()._observe(exchange)
         self._looks.append(exchange)
         if self.acknowledges and exchange.address == self.model.protocol.registers[_STATUS].address:
@@ -393,7 +393,7 @@ class Recorder(Session):
 
     def _possible(self, before: Oracle, exchange: Exchange) -> Explanations:
         """Give the explanations, with what a device may have done by itself."""
-        other = replace(before)
+        other = before.fork()
         expanded = other.expanded(exchange.time)
         other.candidates = surprised(self.model, expanded, exchange.time, other.raised)
         return other.expanded(exchange.time)
@@ -534,7 +534,7 @@ class Recorder(Session):
 
         Where a device may come from what was recorded to this by itself, it may go on with both.
         """
-        other = replace(before)
+        other = before.fork()
         for exchange in exchanges:
             if other.observe(exchange) is not None:
                 return None

@@ -105,6 +105,11 @@ class Oracle:
         """Give what is known of the device now."""
         return Knowledge(self.model, self.candidates)
 
+    def fork(self) -> Oracle:
+        """Give an oracle that goes its own way from here; what it comes to changes nothing here."""
+        # looks that showed nothing new are the same for all that have these candidates
+        return replace(self, advice=self.advice.copy(), _right=self._right.copy())
+
     # --- beginnings -------------------------------------------------------------------------------
 
     def power_on(

@@ -7,9 +7,10 @@ is false. Unknown is `UNKNOWN`; a guard that is unknown may hold or not.
 from __future__ import annotations
 
 import operator
-from typing import TYPE_CHECKING, TypeAlias, assert_never
+from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.model.values import UNKNOWN, Pattern, Value
+from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.ir import (
     AnyValue,
     Binary,
@@ -53,18 +54,11 @@ class Environment:
         """What was found out already, with the choices that were met open on the way."""
 
 
-_NUMERIC: dict[str, Callable[[int, int], Value]] = {
+_COMPARE: Final[dict[str, Callable[[int, int], bool]]] = {
     "<": operator.lt,
     "<=": operator.le,
     ">": operator.gt,
     ">=": operator.ge,
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": operator.floordiv,
-    "%": operator.mod,
-    "&": operator.and_,
-    "|": operator.or_,
 }
 
 
@@ -95,7 +89,7 @@ def compile_expression(
         case Binary(operator="!=", left=left, right=right):
             return _negation(_equality(compiled(left), compiled(right)))
         case Binary(operator=symbol, left=left, right=right):
-            return _arithmetic(_NUMERIC[symbol], compiled(left), compiled(right))
+            return _arithmetic(symbol, compiled(left), compiled(right))
         case In(operand=operand, items=items):
             return _membership(compiled(operand), [_bounds(item, compiled) for item in items])
         case Conditional(condition=condition, then=then, otherwise=otherwise):
@@ -199,12 +193,17 @@ def _equality_with(left: Getter, fixed: Value) -> Getter:
     return equality
 
 
-def _arithmetic(function: Callable[[int, int], Value], left: Getter, right: Getter) -> Getter:
+def _arithmetic(sign: str, left: Getter, right: Getter) -> Getter:
+    compare = _COMPARE.get(sign)
+
     def arithmetic(environment: Environment) -> Value:
         first, second = left(environment), right(environment)
-        if isinstance(first, int) and isinstance(second, int):
-            return function(first, second)
-        return UNKNOWN
+        if not isinstance(first, int) or not isinstance(second, int):
+            return UNKNOWN
+        if compare is not None:
+            return compare(first, second)
+        number = calculated(sign, first, second)
+        return UNKNOWN if number is None else number
 
     return arithmetic
 

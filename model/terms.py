@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import z3
 
+from ecatspec.spec.language.arithmetic import calculated
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
@@ -34,12 +36,6 @@ _COUNT: Final[dict[str, Callable[[Term, Term], Term]]] = {
     "+": operator.add,
     "-": operator.sub,
     "*": operator.mul,
-}
-_FLOOR: Final[dict[str, Callable[[int, int], int]]] = {
-    "/": operator.floordiv,
-    "%": operator.mod,
-    "&": operator.and_,
-    "|": operator.or_,
 }
 
 
@@ -293,10 +289,10 @@ def within(term: Term, low: Term, high: Term) -> Term:
 def counted(sign: str, first: Term, second: Term) -> Term | None:
     """Give a number calculated of two; None where the solver's rules are not the interpreter's."""
     first, second = _number(first), _number(second)
+    if isinstance(first, int) and isinstance(second, int):
+        return calculated(sign, first, second)
     if sign in _COUNT:
         return _COUNT[sign](first, second)
-    if isinstance(first, int) and isinstance(second, int):
-        return _FLOOR[sign](first, second) if second or sign in "&|" else None
     if sign in "&|" or not isinstance(second, int) or second <= 0:
         return None
     return first / second if sign == "/" else first % second

@@ -744,6 +744,7 @@ def drive(body: str, source: str = "set_control", more: str = "") -> str:
         ("when number(held) in { 1, 3..5 } and mapped(1, 2, number) and is_mapping(1)", "event"),
         ("when can_hold(1, 2, held) and image_size(1) == pdo_bits(1, 2)", "event"),
         ("set held = assigned_pdos(1)", "event"),
+        ("when 10 / number == 1 or 10 % count == 2", "event"),
     ],
 )
 def test_paragraph_of_process_data_is_taken_and_printed(body: str, source: str) -> None:
@@ -789,6 +790,9 @@ def test_paragraph_of_process_data_is_taken_and_printed(body: str, source: str) 
         ("within shortest - shortest", "event", "ECS202"),
         ("within number", "event", "ECS202"),
         ("when shortest == 1", "event", "ECS202"),
+        ("when 10 / 0 == number", "event", "ECS207"),
+        ("when number % (2 - 2) == 1", "event", "ECS207"),
+        ("set count = number / (1 / 2)", "event", "ECS207"),
         ("set count = shortest + shortest", "event", "ECS202"),
         # what an edge leads to
         ("when rises(enable) and not enable", "set_control", "ECS302"),

@@ -24,8 +24,10 @@ from ecatspec.model.interpreter import step
 from ecatspec.model.process_image import OUTPUTS
 from ecatspec.model.state import Event
 from ecatspec.model.subdevice import Quirk, VirtualSubDevice
+from ecatspec.model.terms import counted
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
 from ecatspec.model.words import typed_words
+from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, Literal, Name, SInt, Unary
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import width_of
@@ -469,6 +471,19 @@ def test_and_is_the_least_and_or_the_greatest(a: Value, b: Value) -> None:
     assert ORDER[either] == max(ORDER[a], ORDER[b])
     neither = truth(Unary("not", Binary("or", left, right)), a, b)
     assert neither == truth(Binary("and", Unary("not", left), Unary("not", right)), a, b)
+
+
+@pytest.mark.parametrize(
+    ("sign", "a", "b", "wanted"),
+    [("/", 7, 2, 3), ("/", -7, 2, -4), ("%", -7, 2, 1), ("/", 7, 0, UNKNOWN), ("%", 7, 0, UNKNOWN)],
+)
+def test_division_rounds_down_and_by_zero_nothing_is_known(
+    sign: str, a: int, b: int, wanted: Value
+) -> None:
+    assert truth(Binary(sign, Name("a"), Name("b")), a, b) == wanted
+    number = None if wanted is UNKNOWN else wanted
+    assert calculated(sign, a, b) == number
+    assert counted(sign, a, b) == number
 
 
 @pytest.mark.parametrize("a", TRUTHS)

@@ -7,6 +7,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, assert_never
 
+from ecatspec.spec.language.arithmetic import DIVISIONS, constant
 from ecatspec.spec.language.check_texts import LAYOUT_WORDS
 from ecatspec.spec.language.diagnostics import Code, Diagnostic, near
 from ecatspec.spec.language.ir import (
@@ -636,6 +637,9 @@ class _Checker:
                     found = Time()
                 self._demand(left, scope, found)
                 self._demand(right, scope, found)
+                if operator in DIVISIONS and constant(self._protocol, right, scope) == 0:
+                    what = "a number is divided by zero: nothing is known of the result"
+                    self._note(Code.ECS207, right.at, what, "divide by another number")
             case In(operand, items):
                 kind = self._walk(operand, scope, None)
                 self._items(items, scope, kind)

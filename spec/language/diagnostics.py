@@ -35,6 +35,7 @@ class Code(Enum):
     ECS204 = "the fields of a frame do not fit together"
     ECS205 = "an edge is asked of something that has no value before"
     ECS206 = "the wording of a reason and its values do not fit together"
+    ECS207 = "a number is divided by zero"
 
     ECS301 = "two rules of a machine can fire for the same input"
     ECS302 = "a rule can never fire"

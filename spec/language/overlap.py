@@ -12,6 +12,7 @@ import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
+from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
 from ecatspec.spec.language.ir import (
     STANDARD,
@@ -333,8 +334,6 @@ def _name(dimension: _Dimension) -> str:
 
 # --- guards --------------------------------------------------------------------------------------
 
-_ARITHMETIC: Final = frozenset({"+", "-", "*", "/", "%", "&", "|"})
-
 
 @dataclass(frozen=True, slots=True)
 class _Operand:
@@ -343,6 +342,9 @@ class _Operand:
     test: _Test
     dimension: _Dimension | None = None
     constant: _Value | None = None
+
+
+_UNKNOWN: Final = _Operand(lambda _: None)
 
 
 class _Guard:
@@ -426,8 +428,8 @@ class _Guard:
                 self.calculates = True
                 one, other = self._build(left, None), self._build(right, None)
                 if isinstance(one.constant, int) and isinstance(other.constant, int):
-                    result = _arithmetic(operator, one.constant, other.constant)
-                    return self._fixed(0 if result is None else result)
+                    result = calculated(operator, one.constant, other.constant)
+                    return _UNKNOWN if result is None else self._fixed(result)
                 return _Operand(_numbers(operator, one.test, other.test))
             case In(operand, items):
                 return self._membership(operand, items)
@@ -436,7 +438,7 @@ class _Guard:
             case Call():
                 return self._dimension(value, FUNCTIONS[value.function].result)
             case OneOf() | AnyValue():
-                return _Operand(lambda _: None)
+                return _UNKNOWN
             case _:
                 assert_never(value)
 
@@ -619,25 +621,7 @@ def _numbers(operator: str, one: _Test, other: _Test) -> _Test:
     def test(environment: _Environment) -> _Value | None:
         left, right = one(environment), other(environment)
         if isinstance(left, int) and isinstance(right, int):
-            return _arithmetic(operator, left, right)
+            return calculated(operator, left, right)
         return None
 
     return test
-
-
-def _arithmetic(operator: str, left: int, right: int) -> int | None:
-    match operator:
-        case "+":
-            return left + right
-        case "-":
-            return left - right
-        case "*":
-            return left * right
-        case "/":
-            return left // right if right else None
-        case "%":
-            return left % right if right else None
-        case "&":
-            return left & right
-        case _:
-            return left | right

@@ -1,0 +1,75 @@
+"""The only place for what two numbers of a text make, and for numbers that never change."""
+
+from __future__ import annotations
+
+import operator
+from typing import TYPE_CHECKING, Final
+
+from ecatspec.spec.language.ir import Binary, Literal, Name, Unary
+from ecatspec.spec.language.scope import (
+    ConstantRef,
+    DefinitionRef,
+    ParameterRef,
+    Scope,
+    UnresolvedName,
+    resolve,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ecatspec.spec.language.ir import Expression, Protocol
+
+_SIGNS: Final[dict[str, Callable[[int, int], int]]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.floordiv,
+    "%": operator.mod,
+    "&": operator.and_,
+    "|": operator.or_,
+}
+ARITHMETIC: Final = frozenset(_SIGNS)
+DIVISIONS: Final = frozenset({"/", "%"})
+
+
+def calculated(sign: str, left: int, right: int) -> int | None:
+    """Give the number that a sign makes of two others; None: nothing is known of it.
+
+    That is so where the divisor is zero. Division rounds down, and what remains has the sign of
+    the divisor.
+    """
+    if sign in DIVISIONS and not right:
+        return None
+    return _SIGNS[sign](left, right)
+
+
+def constant(protocol: Protocol, expression: Expression, scope: Scope) -> int | None:
+    """Give the number that an expression always is; None: it is not, or that is not seen here."""
+    match expression:
+        case Literal(value=value):
+            return int(value)
+        case Unary(operator="-", operand=operand):
+            number = constant(protocol, operand, scope)
+            return None if number is None else -number
+        case Binary(operator=sign, left=left, right=right) if sign in ARITHMETIC:
+            first = constant(protocol, left, scope)
+            second = constant(protocol, right, scope)
+            return None if first is None or second is None else calculated(sign, first, second)
+        case Name(path=path):
+            try:
+                ref = resolve(protocol, path, scope)
+            except UnresolvedName:
+                return None  # another finding
+            match ref:
+                case ConstantRef(value=value):
+                    return value
+                case DefinitionRef(name=name):
+                    return constant(protocol, protocol.definitions[name].value, scope)
+                case ParameterRef(name=name, part=part):
+                    values = protocol.parameters[name].value
+                    return constant(protocol, values[1 if part == "length" else 0], Scope())
+                case _:
+                    return None
+        case _:
+            return None

@@ -214,6 +214,8 @@ def _membership(operand: Getter, bounds: list[tuple[Getter, Getter]]) -> Getter:
     def membership(environment: Environment) -> Value:
         value = operand(environment)
         ranges = _ranges(bounds, environment) if fixed is None else fixed
+        if ranges is UNKNOWN:
+            return UNKNOWN  # of a bound nothing is known
         if isinstance(value, Pattern):
             return UNKNOWN if value.narrowed(ranges) else False
         return ranges.admits(value)

@@ -28,7 +28,7 @@ from ecatspec.model.terms import counted
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
 from ecatspec.model.words import typed_words
 from ecatspec.spec.language.arithmetic import calculated
-from ecatspec.spec.language.ir import Binary, Bool, Bytes, Literal, Name, SInt, Unary
+from ecatspec.spec.language.ir import Binary, Bool, Bytes, In, Literal, Name, Range, SInt, Unary
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import width_of
 
@@ -456,7 +456,7 @@ TRUTHS: tuple[Value, ...] = (False, UNKNOWN, True)
 ORDER = {False: 0, UNKNOWN: 1, True: 2}
 
 
-def truth(expression: Binary | Unary, a: Value, b: Value = UNKNOWN) -> Value:
+def truth(expression: Binary | In | Unary, a: Value, b: Value = UNKNOWN) -> Value:
     known = {"a": a, "b": b}
     getter = compile_expression(expression, lambda name: lambda _: known[name.path], {})
     return getter(Environment((), {}, {}))
@@ -484,6 +484,14 @@ def test_division_rounds_down_and_by_zero_nothing_is_known(
     number = None if wanted is UNKNOWN else wanted
     assert calculated(sign, a, b) == number
     assert counted(sign, a, b) == number
+
+
+def test_whether_a_number_is_in_a_range_of_which_a_bound_is_not_known() -> None:
+    inside = In(Name("a"), (Range(Literal(1), Name("b")),))
+    assert truth(inside, 3, 5) is True
+    assert truth(inside, 7, 5) is False
+    assert truth(inside, 3, UNKNOWN) is UNKNOWN
+    assert truth(inside, UNKNOWN, 5) is UNKNOWN
 
 
 @pytest.mark.parametrize("a", TRUTHS)

@@ -21,7 +21,7 @@ import pytest
 
 from ecatspec.conformance import pytest_plugin
 from ecatspec.conformance.adapter import AdapterError, Unheard
-from ecatspec.conformance.adapters import model
+from ecatspec.conformance.adapters import model, open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import going, load
 from ecatspec.conformance.pytest_plugin import bench
@@ -35,6 +35,7 @@ from ecatspec.model.subdevice import VirtualSubDevice
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from ecatspec.conformance.adapter import Adapter, Description
     from ecatspec.conformance.verdict import Verdict
     from ecatspec.generators.case import Case, Limits
     from ecatspec.spec.language.ir import Protocol
@@ -332,9 +333,34 @@ def test_a_device_ends_with_the_interrupt(desk: pytest.Pytester) -> None:
 # --- options --------------------------------------------------------------------------------------
 
 
+def test_a_known_deviation_is_an_expected_failure(desk: pytest.Pytester) -> None:
+    dut, name = "model:fault=toggle_ignored", "sdo/transfer/wrong_second_toggle"
+    runner = Runner(Model(load("tiny.ecs")), *_reached(dut))
+    runner.run([c for c in all_cases(runner.model, NO_LIMITS, "quick") if c.name == name], None, 0)
+    (verdict,) = runner.verdicts
+    file = desk.path / "known.toml"
+    text = 'device = "tiny"\n\n[[known]]\nfinding = "{}"\nreason = "mended in 2.1"\n'
+    file.write_text(text.format(verdict.signature), encoding="utf-8")
+    wanted = ("--ecat-dut", dut, "-k", "wrong_second_toggle", "--ecat-known", "known.toml", "-rx")
+    found = run(desk, *wanted)
+    assert outcomes(found) == {"xfailed": 1}
+    assert found.ret == pytest.ExitCode.OK
+    found.stdout.fnmatch_lines([f"XFAIL tiny::sdo::{name} - known: mended in 2.1"])
+    file.write_text(text.format("another"), encoding="utf-8")
+    found = run(desk, *wanted)
+    assert outcomes(found) == {"failed": 1}
+    found.stdout.fnmatch_lines(["*--known known.toml*"])
+
+
+def _reached(dut: str) -> tuple[Adapter, Description]:
+    adapter = open_adapter(dut, "tiny.ecs")
+    return adapter, adapter.describe()
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        (("--ecat-known", "none.toml"), "none.toml is no file of known deviations *"),
         (("--ecat-only", "sd"), "no layer is called 'sd'; did you mean 'sdo'?"),
         (("--ecat-dut", "exec:/none"), "cannot start '/none': No such file or directory; *"),
         (("--ecat-dut", "exec:/none", "-n", "2"), "cannot start '/none': *"),

@@ -41,6 +41,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     option("--ecat-only", metavar="LAYER,...", help="Only the tests of these layers.")
     option("--ecat-mailbox", metavar="SIZE", help="Bytes of both mailboxes, or OUT:IN.")
     option("--ecat-seed", type=_seed, metavar="N", help="Seed of the random part. Default: 0.")
+    option("--ecat-known", metavar="FILE", help="Expect the deviations that this file accepts.")
     option(
         "--ecat-hang-timeout",
         type=_seconds,
@@ -72,7 +73,7 @@ def pytest_configure(config: pytest.Config) -> None:
         UsageError: There is no such device, or it is not reached.
 
     """
-    names = ("dut", "depth", "only", "mailbox", "seed", "hang_timeout")
+    names = ("dut", "depth", "only", "mailbox", "seed", "known", "hang_timeout")
     given = {name: config.getoption(f"ecat_{name}") for name in names}
     given = {name: value for name, value in given.items() if value is not None}
     device = config.getoption("ecat_device")

@@ -9,6 +9,7 @@ from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.conformance import known
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.devices import UserError, going, load, nearest
 from ecatspec.conformance.exercise import Exercise
@@ -40,6 +41,7 @@ class Wanted:
     only: str = ""
     mailbox: str = ""
     seed: int = 0
+    known: str = ""
     hang_timeout: float = HANG_TIMEOUT
 
     @property
@@ -48,6 +50,8 @@ class Wanted:
         words = ["ecatspec", "run", self.device, "--dut", self.dut]
         if self.mailbox:
             words += ["--mailbox", self.mailbox]
+        if self.known:
+            words += ["--known", self.known]
         if self.hang_timeout != HANG_TIMEOUT:
             words += ["--hang-timeout", f"{self.hang_timeout:g}"]
         return shlex.join(words)
@@ -80,7 +84,7 @@ class Bench:
         """Reach the device.
 
         Raises:
-            UserError: There is no such device or layer.
+            UserError: There is no such device or layer, or no such file of known deviations.
             SpecError: The text is wrong.
             AdapterError: The device is not reached.
 
@@ -92,13 +96,14 @@ class Bench:
             raise nearest("layer", name, tuple(protocol.machines))
         if wanted.depth == "exhaustive" and find_spec("z3") is None:
             raise UserError("exhaustive needs the package z3-solver; install ecatspec[prove]")
+        accepted = known.of(wanted.known, protocol.name).reasons
         self.model = Model(protocol)
         self.exercise = Exercise(self.model)
         self.adapter = open_adapter(
             wanted.dut, wanted.device, mailbox=wanted.mailbox, hang_timeout=wanted.hang_timeout
         )
         self.description = self.adapter.describe()
-        self.runner = Runner(self.model, self.adapter, self._described())
+        self.runner = Runner(self.model, self.adapter, self._described(), accepted=accepted)
 
     def _described(self) -> Description:
         """Give the description for the runner: other layers than those wanted are not judged."""

@@ -206,6 +206,9 @@ class CaseItem(pytest.Item):
                 warnings.warn_explicit(EcatWarning(words), None, place, 1)
         if not BLAMING.isdisjoint(verdict.outcome for verdict in self.verdicts):
             self._fail(*BLAMING)
+        reasons = [v.reason for v in self.verdicts if v.outcome is Outcome.KNOWN]
+        if reasons:
+            pytest.xfail("; ".join(dict.fromkeys(reasons)))
 
     def _fail(self, *outcomes: Outcome) -> None:
         bench = self.suite.bench

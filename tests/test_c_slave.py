@@ -349,7 +349,7 @@ BROKEN = {
     "SEGMENT_LAST_TOO_EARLY": ("SDO-33", "sdo/boundary/sdo_download_segment/value_empty"),
     "SEGMENT_LAST_FORGOTTEN": ("SDO-39", "sdo/upload/2000_00"),
     "WATCHDOG_IGNORED": ("PD-11", "process_data/watchdog"),
-    "OUTPUTS_IN_SAFEOP": ("DRV-23", "ds402/commands_in_SAFEOP_after_OP/SWITCH_ON_DISABLED"),
+    "OUTPUTS_IN_SAFEOP": ("PD-08", "ds402/commands_in_SAFEOP_after_OP/SWITCH_ON_DISABLED"),
     "PDO_LENGTH_UNCHECKED": ("PD-04", "process_data/too_long_sync_manager_2"),
     "RESET_BY_LEVEL": ("DRV-18", "ds402/reset_held/SWITCH_ON_DISABLED"),
     "QUICK_STOP_IGNORED": ("DRV-14", "ds402/shutdown/enable_operation/quick_stop"),

@@ -151,7 +151,7 @@ def _led(
         names = {name: value for value, name in model.state_names(rule.machine).items()}
         for source in row.sources:
             before = shown(candidate.state.having(slot, names[source]))
-            demanded = any(not is_any(before[name]) for name in odd)
+            demanded = any(name in before and not is_any(before[name]) for name in odd)
             if source != row.target and demanded and not not_admitted(before, observed):
                 return (rule,), True
     own = [rule for rule in history if rule.machine in machines]

@@ -117,15 +117,15 @@ def _check_advance_until(
     fresh = dict(zip(spans, read_all(adapter, spans), strict=True))
     other = {span: (counter + 1, data) for span, (counter, data) in fresh.items()}
     for seen, written in ((fresh, False), (fresh, True), (other, False)):
-        told = []
+        answers = []
         for way in (partial(step_until, adapter), own):
             adapter.reset()
             if written:
                 adapter.write(*write)
             marks: list[None] = []
             passed, found = way(_STEPS, seen, partial(marks.append, None))
-            told.append(((passed, len(marks)), found))
-        (stepwise, one_by_one), (at_once, all_at_once) = told
+            answers.append(((passed, len(marks)), found))
+        (stepwise, one_by_one), (at_once, all_at_once) = answers
         if stepwise != at_once:
             yield f"steps and marks are {at_once} at once and {stepwise} one by one"
         elif one_by_one != all_at_once:

@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Reading, Span
 
     Mark = Callable[[], float]
-    """It is told of a sign of life, and gives the seconds within which the next must come."""
+    """Called at each sign of life; returns the limit (s) for the next one."""
 
 MAXIMUM_LINE: Final = 1 << 20
 CHUNK: Final = 1 << 16
@@ -90,7 +90,7 @@ class Link(Protocol):
     def exchange(self, request: bytes, timeout: float, mark: Mark | None = None) -> bytes:
         """Send one line and return the one that answers it: Ended, SilentError, UnboundError.
 
-        With `mark` each space before the answer is a sign of life, and told.
+        With `mark` each space before the answer is a sign of life: `mark` is called for it.
         """
 
     def end_of_silence(self) -> str:
@@ -233,7 +233,7 @@ class LineAdapter:
     ) -> dict[str, object]:
         """Give the answer to a request; `extra` seconds it may take more, and `mark` gives others.
 
-        They are those for what follows the space that `mark` is told of.
+        They are the limits for what follows the space that `mark` was called for.
         """
         timeout = self._hang_timeout + extra
 
@@ -323,7 +323,7 @@ class Lines:
     def exchange(self, request: bytes, timeout: float, mark: Mark | None = None) -> bytes:
         """Send one line and return the one line that answers it.
 
-        With `mark` each space before the answer is a sign of life, and told.
+        With `mark` each space before the answer is a sign of life: `mark` is called for it.
         """
         if self._answers.poll(0):
             # End of file, or output that nobody asked for.

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _MICROSECONDS = 1_000_000
 _REMEMBERED = 12
 _REMEMBERED_TO_ALL = 64
-"""Writes to all SubDevices that one of which nothing was seen before gets too, at most."""
+"""Maximum number of earlier broadcast writes that a newly seen SubDevice is given."""
 
 
 @dataclass(slots=True)

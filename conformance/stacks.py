@@ -1,4 +1,4 @@
-"""The only place for the stack of a device that died, as the end of its error stream has it.
+"""Stacks in the error stream of a device that died: its kind and its frames.
 
 Sanitizers report in one format, and so does `dying` for a library that ends by a signal: a head
 that says the kind of the error, then a line for each frame. What varies from run to run (addresses,

@@ -42,7 +42,7 @@ UNEXPLAINED: Final = "no state that the texts allow explains the observation"
 ADVISED: Final = "the texts allow it, and advise against it"
 WAITS: Final = "waits"
 BEFALLEN: Final = "is befallen by"
-"""How words begin of which nothing goes over the bus."""
+"""First words of lines about what does not cross the bus."""
 
 
 class Conclusion(StrEnum):

@@ -71,7 +71,7 @@ class Candidate(Struct, frozen=True, cache_hash=True):
     ready: int = 0
     last: bytes | None = None
     befell: tuple[str, ...] = ()
-    """What befell the device without anybody having raised it."""
+    """Local events that the device met without a stimulus of the run."""
 
     def having(self, state: State) -> Candidate:
         """Give the explanation with another state."""

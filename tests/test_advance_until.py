@@ -127,12 +127,12 @@ def cases() -> tuple[Case, ...]:
 def judged(
     adapter: Adapter, patch: pytest.MonkeyPatch, *, at_once: bool
 ) -> tuple[list[Verdict], list[Exchange], Counter[str]]:
-    """Judge the cases; give the verdicts, what the oracle was told, and what the device was."""
-    told: list[Exchange] = []
+    """Judge the cases; give the verdicts, what the oracle observed, and which calls were made."""
+    exchanges: list[Exchange] = []
     observe = Session._observe  # noqa: SLF001
 
     def observed(session: Session, exchange: Exchange) -> None:
-        told.append(exchange)
+        exchanges.append(exchange)
         observe(session, exchange)
 
     way = Way(adapter, at_once=at_once)
@@ -141,7 +141,7 @@ def judged(
         patched.setattr(Session, "_observe", observed)
         verdicts = [runner.judge(case) for case in cases()]
     adapter.close()
-    return verdicts, told, way.asked
+    return verdicts, exchanges, way.asked
 
 
 @pytest.mark.parametrize("fault", [None, "abort_kills", "silent_in_op"])

@@ -96,8 +96,8 @@ def _run(number: int, result: Result, model: Model) -> View:
 
 
 def _judgement(result: Result) -> tuple[str, str]:
-    told = interruption(result)
-    late = f" ({told})" if told else ""
+    reason = interruption(result)
+    late = f" ({reason})" if reason else ""
     if not judged(result):
         return "", f"Not judged{late}"
     words = result.conclusion.value.capitalize()

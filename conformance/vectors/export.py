@@ -103,7 +103,7 @@ class Export:
     number: int = 0
     flags: set[str] = field(default_factory=set)
     cut: list[str] = field(default_factory=list)
-    """Cases of which only the beginning is a test: there is too much that a device may do then."""
+    """Cases cut short in the vectors, because a device may do too much from there on."""
     restless: list[str] = field(default_factory=list)
     """Cases without a test: the virtual SubDevice does not come to rest in them."""
     protocol: Protocol = field(init=False)

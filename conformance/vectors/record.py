@@ -59,7 +59,7 @@ _KEPT: Final = 4096
 _LONGEST: Final = 3_600_000_000
 """Microseconds after which a device that is still busy counts as never coming to rest."""
 _ROUNDS: Final = 16
-"""Most things in a row that are awaited, each of which begins with the one before."""
+"""Maximum number of awaited changes in a row, where each one starts the wait for the next."""
 _TRIES: Final = 64
 """So often it is waited and looked before a device counts as never coming to rest."""
 

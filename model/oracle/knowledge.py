@@ -73,7 +73,7 @@ class Knowledge:
         return frozenset(name for name in names if len(self._ways(name) - {None}) > 1)
 
     def met(self) -> frozenset[str]:
-        """Give the choices of which some explanation needs to know how the device goes there."""
+        """Give the choices that some explanation needs decided to say what the device does."""
         names = self.model.protocol.choices
         return frozenset(name for name in names if self._ways(name) - {None})
 
@@ -105,7 +105,7 @@ class Knowledge:
     # --- what happened ----------------------------------------------------------------------------
 
     def surprises(self) -> tuple[str, ...]:
-        """Give what may have happened to the device by itself; empty: it may be none of it."""
+        """Give the unrequested events that explain the device; empty if it may be none."""
         if not all(candidate.befell for candidate in self.candidates):
             return ()
         return tuple(sorted({name for each in self.candidates for name in each.befell}))

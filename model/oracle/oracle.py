@@ -137,7 +137,7 @@ class Oracle:
         self._written = 0
 
     def unknown(self, *, keep: bool = False) -> None:
-        """Go on with a device of which only its choices are known; `keep` its registers too."""
+        """Go on knowing only the choices of the device; `keep` its registers too."""
         kept = next(iter(self.candidates)).state if keep and self.candidates else None
         states = any_states(self.model, self.known.choices() if self.candidates else {}, kept)
         self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
@@ -149,7 +149,7 @@ class Oracle:
             return self._grown.found
         found = grown(self.model, self.candidates, time)
         if found is None:
-            # too many explanations to follow: nothing is known, so nobody is blamed
+            # too many explanations to follow: nothing is known, so the device is not blamed
             inputs = {
                 (*pending.target(), pending.deadline): structs.replace(pending, optional=True)
                 for candidate in self.candidates

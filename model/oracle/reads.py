@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def kept(before: Explanations, after: Explanations) -> Explanations:
-    """Give `after`; where an observation changed nothing, `before`, of which more is known."""
+    """Give `after`; where an observation changed nothing, `before`, which knows more."""
     return before if before.keys() == after.keys() else after
 
 

@@ -74,7 +74,7 @@ def write_registers(
 
 
 def hold_registers(model: Model, before: Explanations, exchange: Exchange) -> Explanations:
-    """Give the explanations in which registers hold what was written; nobody looked at them."""
+    """Give the explanations in which registers hold what was written and were not read since."""
     for register in written_registers(model, *exchange.span()):
         slot = model.slots[f"register {register.name}"]
         before = {

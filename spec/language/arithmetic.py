@@ -1,4 +1,4 @@
-"""The only place for what two numbers of a text make, and for numbers that never change."""
+"""Arithmetic of the language: what an operation gives, and which expressions are constant."""
 
 from __future__ import annotations
 

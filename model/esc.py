@@ -143,7 +143,12 @@ class Esc:
     # --- the side of the MainDevice ---------------------------------------------------------------
 
     def main_read(self, address: int, length: int) -> tuple[int, bytes]:
-        """Read as the MainDevice: working counter and bytes (zeros where it is refused)."""
+        """Read as the MainDevice: working counter and bytes (zeros where it is refused).
+
+        An access that ends behind the memory is refused.
+        """
+        if address + length > self.size:
+            return 0, bytes(length)
         if not self._touches_buffers(address, length):
             return 1, bytes(self._memory[address : address + length])
         counter, found = 0, b""
@@ -156,7 +161,12 @@ class Esc:
         return counter, found
 
     def main_write(self, address: int, data: bytes) -> int:
-        """Write as the MainDevice: working counter, 0 where the write is refused."""
+        """Write as the MainDevice: working counter, 0 where the write is refused.
+
+        An access that ends behind the memory is refused.
+        """
+        if address + len(data) > self.size:
+            return 0
         if not self._touches_buffers(address, len(data)):
             return self._write_memory(address, data)
         counter = 0
@@ -205,7 +215,11 @@ class Esc:
 
     def _touches_buffers(self, address: int, length: int) -> bool:
         end = address + length
-        return any(b.borders[0] < end and address < b.borders[2] for b in self._buffers.values())
+        for buffers in self._buffers.values():
+            start, _, behind = buffers.borders
+            if start < end and address < behind:
+                return True
+        return False
 
     def _pieces(self, address: int, length: int) -> Iterator[tuple[int, int, str | None]]:
         """Cut an access at the borders of areas: start, end, SyncManager."""

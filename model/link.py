@@ -87,6 +87,7 @@ class LinkedSubDevice:
         self._eeprom = bytearray(sii_image(model))
         self._counters = [r for name, r in self._registers.items() if _CLEARED in name]
         self._eeprom_span = self._span(_EEPROM)
+        self._al_status_span = self._of("al_status")
         raised = ("al_status", *_MANAGERS)
         self._raised = sum(self._mask("main_event_request", name) for name in raised)
         """The events that can be."""
@@ -175,7 +176,7 @@ class LinkedSubDevice:
     # --- memory -----------------------------------------------------------------------------------
 
     def advance(self, microseconds: int) -> None:
-        """Let the time of the device come to so many microseconds; it never goes back."""
+        """Let the time of the device reach a number of microseconds; it never goes back."""
         if microseconds > self.now:
             before = self.device.awaits(*_WATCHDOG)
             self.device.advance((microseconds - self.now) / _MICROSECONDS)
@@ -191,7 +192,7 @@ class LinkedSubDevice:
             for span, show in self._hooks:
                 if _touches(span, address, end):
                     show()
-            if _touches(self._of("al_status"), address, end):
+            if _touches(self._al_status_span, address, end):
                 self._al_status = self._content("al_status")
         return self.device.read(address, length)
 
@@ -216,8 +217,8 @@ class LinkedSubDevice:
     # --- events of the MainDevice -----------------------------------------------------------------
 
     def _interrupt(self) -> int:
-        mask = self._content("main_event_mask") & self._raised
-        return mask & self._events() if mask else 0
+        mask = self._content("main_event_mask")
+        return mask & self._events() if mask & self._raised else 0
 
     def _events(self) -> int:
         events = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -31,15 +31,19 @@ class Bits:
 
     offset: int
     width: int
+    mask: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Work the mask out once: it is needed several times for each datagram."""
+        object.__setattr__(self, "mask", (1 << self.width) - 1)
 
     def of(self, header: int) -> int:
         """Give the value of the field in a header read as one little-endian number."""
-        return header >> self.offset & ((1 << self.width) - 1)
+        return header >> self.offset & self.mask
 
     def put(self, header: int, value: int) -> int:
         """Give a header with another value of the field."""
-        mask = (1 << self.width) - 1
-        return header & ~(mask << self.offset) | (value & mask) << self.offset
+        return header & ~(self.mask << self.offset) | (value & self.mask) << self.offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,19 +355,23 @@ class Wire:
         wire, command = self.format, place.command
         if command is None:
             return place
-        adp, ado = wire.adp.of(place.header), wire.ado.of(place.header)
-        data = bytes(frame[place.start : place.stop])
-        adp, data, counted, interrupt = visit(command, adp, ado, data)
-        header = wire.adp.put(place.header, adp)
-        header |= wire.interrupt.put(0, interrupt)
-        frame[place.at : place.start] = header.to_bytes(wire.datagram_header_size, "little")
-        frame[place.start : place.stop] = data
+        before, start, stop = place.header, place.start, place.stop
+        sent = bytes(frame[start:stop])
+        adp, data, counted, interrupt = visit(
+            command, wire.adp.of(before), wire.ado.of(before), sent
+        )
+        header = wire.adp.put(before, adp) | wire.interrupt.put(0, interrupt)
+        if data is not sent:
+            frame[start:stop] = data
         if counted:
-            end = place.stop + wire.working_counter_size
-            counter = int.from_bytes(frame[place.stop : end], "little") + counted
+            end = stop + wire.working_counter_size
+            counter = int.from_bytes(frame[stop:end], "little") + counted
             counter &= (1 << 8 * wire.working_counter_size) - 1
-            frame[place.stop : end] = counter.to_bytes(wire.working_counter_size, "little")
-        return _Place(header, place.at, place.start, place.stop, command)
+            frame[stop:end] = counter.to_bytes(wire.working_counter_size, "little")
+        if header == before:
+            return place
+        frame[place.at : start] = header.to_bytes(wire.datagram_header_size, "little")
+        return _Place(header, place.at, start, stop, command)
 
 
 def filled(frame: bytes) -> bytes:

@@ -180,6 +180,74 @@ def test_a_frame_with_rubbish_passes_as_it_is(three: Segment) -> None:
     assert [one.working_counter for one in found] == [3]
 
 
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+@pytest.mark.parametrize("address", [0xFFFF, 0xFFF8])
+def test_an_access_that_ends_behind_the_memory_is_refused(
+    three: Segment, name: str, address: int
+) -> None:
+    adp = 0x1002 if name.startswith("F") else 0
+    sent = bytes(range(9))
+    (_, data, counter), after = three.send(
+        (name, adp, address, sent), ("APRD", 0, STATION, bytes(2))
+    )
+    assert (data, counter) == (sent, 0)
+    assert after == (3, b"\x01\x10", 1)
+
+
+ADDRESSES = st.one_of(
+    st.integers(0, 0xFFFF),
+    st.sampled_from([r.address for r in MODEL.protocol.registers.values()]),
+    st.sampled_from([MAIL_OUT, MAIL_IN, MAIL_OUT + 47, FREE, 0x0F80, 0xFFFF]),
+)
+DATAGRAMS = st.builds(
+    Datagram,
+    st.sampled_from(sorted(COMMANDS.values(), key=lambda command: command.name)),
+    st.integers(0, 255),
+    st.sampled_from([0, 1, 0xFFFF, 0xFFFE, 0x1001, 0x1002, 0x1003]),
+    ADDRESSES,
+    st.binary(max_size=60) | st.integers(0, 1400).map(bytes),
+    st.integers(0, 0xFFFF),
+)
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> bytes:
+    """Draw an Ethernet frame, whole or with bytes changed, cut off, tagged."""
+    frame = bytearray(segment_wire().frame(SOURCE, draw(st.lists(DATAGRAMS, max_size=4))))
+    changed = draw(st.dictionaries(st.integers(12, 60), st.integers(0, 255), max_size=2))
+    for at, value in changed.items():
+        if at < len(frame):
+            frame[at] = value
+    if draw(st.booleans()):
+        del frame[draw(st.integers(0, len(frame))) :]
+    tag = bytes.fromhex("81000005") if draw(st.booleans()) else b""
+    return bytes(frame[:12] + tag + frame[12:])
+
+
+def segment_wire() -> Wire:
+    return Wire(wire_format(MODEL))
+
+
+@given(st.lists(st.tuples(frames(), st.integers(0, 400_000)), max_size=12))
+def test_no_frame_ends_a_segment_or_changes_its_length(
+    sent: list[tuple[bytes, int]],
+) -> None:
+    made, now = segment(2), 0
+    for frame, waited in sent:
+        now += waited
+        for device in made.devices:
+            device.advance(now)
+        passed = bytearray(frame)
+        made.wire.pass_on(passed, [device.visit for device in made.devices])
+        assert len(passed) == len(frame)
+        assert passed[:6] + passed[7:14] == frame[:6] + frame[7:14]
+    for device in made.devices:
+        device.reset()
+        model = device.device.model
+        play(model, device.device, way_to(model, "OP"))
+        assert device.al_state == "OP"
+
+
 def test_the_alias_counts_where_dl_control_says_so() -> None:
     made = segment(1)
     device = made.devices[0]

@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 # What the installed package is made of. Folders are in the list so that a deleted file counts too.
-SOURCES := pyproject.toml README.md LICENSE NOTICE $(shell find spec model generators conformance \
+SOURCES := api.py pyproject.toml README.md LICENSE NOTICE $(shell find spec model generators conformance \
   -name __pycache__ -prune -o \
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name '*.h' -o -name '*.html' \
   -o -name '*.css' -o -name '*.js' -o -name '*.json' -o -name py.typed \) -print)

@@ -23,6 +23,7 @@ from ecatspec.conformance.adapter import (
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.capture.transactions import CaptureError
 from ecatspec.conformance.devices import UserError, load, nearest
+from ecatspec.conformance.kit import check_adapter
 from ecatspec.conformance.known import of
 from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.reports import REPORTS
@@ -107,6 +108,7 @@ __all__ = [
     "WriteUntilTaken",
     "case_of",
     "cases",
+    "check_adapter",
     "device_names",
     "export_vectors",
     "frame_bytes",

@@ -266,20 +266,21 @@ def run(
 @click.option("--include", is_flag=True, help="Give the folder of ecatspec_dut.h, for a compiler.")
 def adapters(*, as_json: bool, include: bool) -> int:
     """List the ways to reach a device under test, as --dut takes them."""
-    from ecatspec.conformance.adapters import ADAPTERS
+    from ecatspec.conformance import adapters as reachable
     from ecatspec.conformance.libraries import HEADERS
     from ecatspec.conformance.sheets import Sheet
 
+    every = reachable.adapters()
     if as_json:
         listed = [
             {"name": name, "summary": entry.summary, "example": entry.example}
-            for name, entry in ADAPTERS.items()
+            for name, entry in every.items()
         ]
         _print_json("ecatspec.adapters", {"include": str(HEADERS), "adapters": listed})
     elif include:
         _print(f"{HEADERS}\n")
     else:
-        rows = tuple((name, e.summary, f"--dut {e.example}") for name, e in ADAPTERS.items())
+        rows = tuple((name, e.summary, f"--dut {e.example}") for name, e in every.items())
         title = "ways to reach a device under test"
         _print(_table(Sheet("adapters", title, ("adapter", "what it reaches", "example"), rows)))
     return CONFORMS

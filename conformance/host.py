@@ -20,7 +20,7 @@ import traceback
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import AdapterError, advance_until, raise_local
-from ecatspec.conformance.adapters import FACTORIES
+from ecatspec.conformance.adapters import factory
 from ecatspec.conformance.dying import tell_the_stack
 
 if TYPE_CHECKING:
@@ -88,11 +88,7 @@ def _end_with_the_run(requests: int) -> None:
 
 def _server(name: str, text: str, mark: Callable[[], None]) -> Callable[[dict[str, object]], str]:
     arguments = json.loads(text)
-    make = FACTORIES.get(name)
-    if make is None:
-        message = f"no hosted adapter {name!r}; there are {', '.join(sorted(FACTORIES))}"
-        raise AdapterError(message)
-    adapter = make(arguments.get("device", ""), arguments.get("options", {}))
+    adapter = factory(name)(arguments.get("device", ""), arguments.get("options", {}))
 
     def serve(request: dict[str, object]) -> str:
         try:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import os
 import shlex
+import subprocess
 import sys
 import textwrap
 from dataclasses import replace
@@ -66,7 +68,7 @@ class Device:
 def make(device, options):
     if device == "bad": raise ValueError("device text is bad")
     return Device()
-host.FACTORIES = {"d": make}
+host.factory = {"d": make}.__getitem__
 host.main(["d", '{"device": "%s", "options": {}}' % sys.argv[1]])
 """
 
@@ -82,6 +84,57 @@ def test_every_row_says_how_it_is_used() -> None:
         assert entry.example.partition(":")[0] == name
         assert entry.summary
     assert set(FACTORIES) <= set(ADAPTERS)
+
+
+BROUGHT = """
+from ecatspec.conformance.adapters.model import make as virtual
+def make(device, options):
+    '''The virtual SubDevice once more.'''
+    return virtual(device, options)
+"""
+
+
+def brought(folder: Path, entry: str) -> dict[str, str]:
+    """Lay a package beside, as pip installs it; give the environment that has it."""
+    (folder / "my_bus.py").write_text(BROUGHT, "utf-8")
+    known = folder / "my_bus-1.0.dist-info"
+    known.mkdir()
+    (known / "METADATA").write_text("Metadata-Version: 2.1\nName: my-bus\nVersion: 1.0\n", "utf-8")
+    (known / "entry_points.txt").write_text(f"[ecatspec.adapters]\n{entry}\n", "utf-8")
+    return {**os.environ, "PYTHONPATH": str(folder)}
+
+
+def ecatspec(*arguments: str, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-P", "-m", "ecatspec.conformance.cli", *arguments]
+    return subprocess.run(command, env=env, capture_output=True, text=True, check=False)
+
+
+RUN = ("run", "reference", "--depth", "quick", "--only", "al", "--dut")
+
+
+def test_a_package_brings_an_adapter(tmp_path: Path) -> None:
+    env = brought(tmp_path, "mybus = my_bus:make")
+    listed = ecatspec("adapters", env=env)
+    assert "an adapter of the package my-bus" in listed.stdout
+    done = ecatspec(*RUN, "mybus:fault=init_ignored", env=env)
+    assert done.returncode == 2
+    assert "init_ignored" in done.stderr
+    done = ecatspec(*RUN, "mybus", env=env)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_package_replaces_no_adapter(tmp_path: Path) -> None:
+    env = brought(tmp_path, "model = my_bus:lost")
+    assert "my-bus" not in ecatspec("adapters", env=env).stdout
+    assert ecatspec(*RUN, "model", env=env).returncode == 0
+
+
+def test_an_adapter_that_cannot_be_loaded_is_one_line(tmp_path: Path) -> None:
+    env = brought(tmp_path, "mybus = my_bus:lost")
+    done = ecatspec(*RUN, "mybus", env=env)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "'mybus' (my_bus:lost) cannot be loaded: AttributeError" in line
 
 
 def test_every_factory_has_its_file() -> None:

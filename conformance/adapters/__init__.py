@@ -1,4 +1,4 @@
-"""The only place for the table of adapters: the ways to reach a device, and how they are named.
+"""The table of adapters: the ways to reach a device, and their names.
 
     model                    the virtual SubDevice of the texts
     canopen                  the SDO server of the package canopen behind the virtual mailbox
@@ -10,7 +10,7 @@
 
 A Python adapter is a file here with `make(device, options) -> Adapter`, a row in FACTORIES and
 a row in ADAPTERS; it runs in a process of its own, but for `model`, which is ours and cannot harm
-a run.  Options follow a colon: `model:key=value`.
+a run.  Options follow a colon: `model:key=value`.  Other packages bring adapters by entry points.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import json
 import shlex
 import sys
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
@@ -34,6 +35,7 @@ from ecatspec.conformance.sockets import at_path, at_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+    from importlib.metadata import EntryPoint
 
     from ecatspec.conformance.adapter import Adapter
 
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     Opener = Callable[[str, str, float], Adapter]
 
 
+GROUP: Final = "ecatspec.adapters"
+"""The entry points of packages that bring adapters: `name = "module:make"`."""
 HANG_TIMEOUT: Final = 10.0
 """Seconds without an answer after which a device counts as hung."""
 
@@ -64,11 +68,12 @@ def open_adapter(
     An adapter over our own virtual mailbox has areas of the length `mailbox`, if that is given.
     """
     name, _, rest = spec.partition(":")
-    entry = ADAPTERS.get(name)
+    known = adapters()
+    entry = known.get(name)
     if entry is None:
-        near = difflib.get_close_matches(name, ADAPTERS, n=1)
+        near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        message = f"unknown adapter {name!r}; {hint}there are {', '.join(sorted(ADAPTERS))}"
+        message = f"unknown adapter {name!r}; {hint}there are {', '.join(sorted(known))}"
         raise AdapterError(message)
     if mailbox and entry.resizable:
         rest = f"mailbox={mailbox},{rest}"
@@ -83,6 +88,46 @@ def open_adapter(
         adapter.close()
         raise
     return adapter
+
+
+def adapters() -> Mapping[str, Entry]:
+    """Give all adapters by name: those of this package, then those that other packages bring."""
+    brought = {
+        name: Entry(
+            summary=f"an adapter of the package {point.dist.name if point.dist else point.module}",
+            example=name,
+            open=partial(_open_hosted, name),
+        )
+        for name, point in _brought().items()
+    }
+    return {**ADAPTERS, **brought}
+
+
+def factory(name: str) -> Factory:
+    """Give what makes a hosted adapter.
+
+    Raises:
+        AdapterError: There is none of this name, or the package that brings it cannot be loaded.
+
+    """
+    if own := FACTORIES.get(name):
+        return own
+    point = _brought().get(name)
+    if point is None:
+        message = f"no hosted adapter {name!r}; there are {', '.join([*FACTORIES, *_brought()])}"
+        raise AdapterError(message)
+    try:
+        return cast("Factory", point.load())
+    except Exception as error:  # noqa: BLE001  whatever the package of others raises
+        what = f"the adapter {name!r} ({point.value}) cannot be loaded"
+        message = f"{what}: {type(error).__name__}: {error}; update or remove its package"
+        raise AdapterError(message) from None
+
+
+@cache
+def _brought() -> Mapping[str, EntryPoint]:
+    points = entry_points(group=GROUP)
+    return {point.name: point for point in points if point.name not in ADAPTERS}
 
 
 def parse_options(text: str) -> dict[str, str]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from itertools import pairwise
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -39,8 +38,10 @@ AREAS = dict(
 """SyncManager -> the parameter that says where its memory usually lies."""
 BOOTSTRAP = dict(zip(SYNC_MANAGERS, ("bootstrap_out", "bootstrap_in"), strict=True))
 """SyncManager -> the parameter that says where the mailbox lies in BOOT."""
-_EVENTS = "al_event_request"
-_WATCHDOG = "watchdog_status"
+AL_EVENTS = "al_event_request"
+"""The register of the events that the device waits for."""
+WATCHDOG = "watchdog_status"
+"""The register that tells whether the watchdog of process data runs."""
 
 
 def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
@@ -105,7 +106,7 @@ class Esc:
         self._buffers: dict[str, Buffers] = {}
         self._al_bit = 1 << model.parameter("al_control_event")
         self._change_bit = 1 << model.parameter("sync_manager_change_event")
-        self._watchdog_bit = field_mask(protocol, _EVENTS, "process_data_watchdog")
+        self._watchdog_bit = field_mask(protocol, AL_EVENTS, "process_data_watchdog")
         mailbox, buffered = (model.row("sync_manager_mode", row) for row in ("mailbox", "buffered"))
         self._modes = dict.fromkeys(SYNC_MANAGERS, mailbox) | dict.fromkeys(PROCESS_DATA, buffered)
         self._main_writes = model.row("sync_manager_direction", "main_writes")
@@ -222,16 +223,13 @@ class Esc:
         return False
 
     def _pieces(self, address: int, length: int) -> Iterator[tuple[int, int, str | None]]:
-        """Cut an access at the borders of areas: start, end, SyncManager."""
+        """Cut an access at the borders of areas as they are then: start, end, SyncManager."""
         end = address + length
-        within = {
-            border
-            for buffers in self._buffers.values()
-            for border in buffers.borders
-            if address < border < end
-        }
-        for low, high in pairwise((address, *sorted(within), end)):
-            yield low, high, self._owner(low)
+        while address < end:
+            borders = (at for buffers in self._buffers.values() for at in buffers.borders)
+            high = min((at for at in borders if at > address), default=end)
+            yield address, min(high, end), self._owner(address)
+            address = high
 
     def _owner(self, address: int) -> str | None:
         """Give whose area an address is; an area counts before the hidden buffers of another."""
@@ -374,9 +372,9 @@ class Esc:
         for name in _ALL:
             if _overlap(registers[f"{name}_activation"], address, length):
                 self._events &= ~self._change_bit
-        if _overlap(registers[_EVENTS], address, length):
-            self.set_register(_EVENTS, self._events)
-        if _overlap(registers[_WATCHDOG], address, length):
+        if _overlap(registers[AL_EVENTS], address, length):
+            self.set_register(AL_EVENTS, self._events)
+        if _overlap(registers[WATCHDOG], address, length):
             self._events &= ~self._watchdog_bit
 
     def pdi_write(self, address: int, data: bytes) -> None:
@@ -433,8 +431,8 @@ class Esc:
 
     def show_watchdog(self, *, running: bool) -> None:
         """Let the status of the watchdog of process data say whether it runs, or is off."""
-        mask = field_mask(self._protocol, _WATCHDOG, "running")
-        self.set_register(_WATCHDOG, mask if running else 0)
+        mask = field_mask(self._protocol, WATCHDOG, "running")
+        self.set_register(WATCHDOG, mask if running else 0)
 
     def expire_watchdog(self) -> None:
         """Tell the device that the watchdog expired: an event, until it reads the status."""

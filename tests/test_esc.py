@@ -146,6 +146,28 @@ def test_the_hidden_buffers_belong_to_nobody(esc: Esc, area: Channel) -> None:
     assert esc.main_read(area.hidden_end, 1) == (1, b"z")
 
 
+def test_there_is_no_memory_behind_the_memory() -> None:
+    model = Model(load_device("afag-se-power"))
+    esc = Esc(model)
+    last = esc.size - 1
+    assert esc.main_write(last, b"a") == 1
+    assert esc.main_write(last, b"bc") == esc.main_write(esc.size, b"d") == 0
+    assert esc.main_read(last, 1) == (1, b"a")
+    assert esc.main_read(last, 2) == (0, bytes(2))
+    assert esc.main_read(esc.size, 1) == (0, bytes(1))
+
+
+def test_an_area_that_an_access_sets_up_takes_the_rest_of_it(esc: Esc) -> None:
+    """Registers and memory lie in one access; a piece of it is cut by the areas before it."""
+    last = PROTOCOL.registers[f"{INPUTS}_activation"]
+    put(esc, f"{INPUTS}_activation", OFF)
+    rest = bytes(IN.start - last.address - 1)
+    assert esc.main_write(last.address, ON + rest + b"in?") == 1
+    assert esc.process_channel(INPUTS) == IN
+    put(esc, f"{INPUTS}_activation", OFF)
+    assert esc.main_read(IN.start, 3) == (1, bytes(3))
+
+
 def test_hidden_buffers_give_way_to_areas(esc: Esc) -> None:
     put(esc, f"{INPUTS}_activation", OFF)
     set_up(esc, INPUTS, Channel(OUT.end, 5, main_writes=False))

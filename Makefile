@@ -11,7 +11,7 @@ SOURCES := api.py pyproject.toml README.md LICENSE NOTICE $(shell find spec mode
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name '*.h' -o -name '*.html' \
   -o -name '*.css' -o -name '*.js' -o -name '*.json' -o -name py.typed \) -print)
 
-.PHONY: help demo test lint format docs site mutants bench clean
+.PHONY: help demo test lint format docs chip site mutants bench clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -45,6 +45,9 @@ format: $(VENV)/developed  ## format the code and repair what can be repaired
 
 docs: $(VENV)/installed  ## write the chapters and tables under docs/ anew (some minutes)
 	$(BIN)/python docs/generate.py
+
+chip: $(VENV)/installed  ## write the numbers of ecatspec_chip.h anew, after a change of the texts
+	$(BIN)/python -m ecatspec.conformance.chip conformance/adapters/ecatspec_chip.h
 
 site: $(VENV)/developed  ## build the documentation as HTML in site/, without a network
 	$(BIN)/python -m sphinx -q -W -j auto -c docs . site

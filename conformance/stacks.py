@@ -52,8 +52,9 @@ _RUNTIME_SOURCE: Final = re.compile(
 )
 _RUNTIME_FUNCTION: Final = re.compile(
     r"_*(?:interceptor|asan|hwasan|lsan|msan|tsan|ubsan|sanitizer|libc)(?:_|::)|_start$"
-    r"|operator (?:new|delete)"
+    r"|operator (?:new|delete)|ecatspec_chip_"
 )
+"""Functions that are never the device's: the last are those of ecatspec_chip.h."""
 _STANDS_IN: Final = re.compile(
     r"^(?:mem|str)[a-z]+$|^bcmp$|^v?s?n?f?printf$|^(?:c|m|re)alloc$|^free$"
 )
@@ -72,7 +73,7 @@ class Frame:
 
     @property
     def runtime(self) -> bool:
-        """Tell whether the frame is not of the device: a sanitizer, the C library, Python."""
+        """Tell whether the frame is not of the device: sanitizer, C library, Python, our chip."""
         if self.module and _RUNTIME_MODULE.match(PurePath(self.module).name):
             return True
         if _RUNTIME_FUNCTION.match(self.function):

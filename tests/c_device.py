@@ -62,11 +62,13 @@ def build(folder: Path, *arguments: str, sources: Path = SOURCES) -> Path:
     return folder
 
 
-def library(source: str, file: Path, *options: str, standard: str = "c99") -> Path:
+def library(
+    source: str, file: Path, *options: str, standard: str = "c99", program: str = "cc"
+) -> Path:
     """Compile a library that is one file in C, or in C++."""
-    compiler = shutil.which("cc")
+    compiler = shutil.which(program)
     if compiler is None:
-        pytest.skip("no C compiler: needs cc")
+        pytest.skip(f"no C compiler: needs {program}")
     language = "c++" if "++" in standard else "c"
     command = [
         compiler,

@@ -124,7 +124,7 @@ const struct ecatspec_dut *ecatspec_dut(void)
 
 # A stack that does nothing but what the first byte of process memory asks for.
 STACK = r"""
-#include <ecatspec_dut.h>
+#include <ecatspec_chip.h>
 #include <stdlib.h>
 
 struct stack { const struct ecatspec_esc *esc; uint32_t time; };
@@ -198,9 +198,10 @@ def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
-@pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return library(STACK, tmp_path_factory.mktemp("stack") / "libstack.so")
+@pytest.fixture(scope="module", params=["C", "PYTHON"])
+def stack(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("stack") / "libstack.so"
+    return library(STACK, file, f"-DECATSPEC_{request.param}_CHIP")
 
 
 @pytest.fixture(scope="module")
@@ -332,6 +333,7 @@ def test_a_file_that_is_no_library_is_one_line(tmp_path: Path, hostile: Path, st
         (f"lib:{stack},poll=0", "poll=0 is no time between polls"),
         (f"lib:{stack},poll=often", "poll=often is no time between polls"),
         (f"lib:{stack},poll=inf", "poll=inf is no time between polls"),
+        (f"lib:{stack},poll=4295", "poll=4295 is no time between polls"),
     ):
         with pytest.raises(AdapterError, match=words) as caught:
             open_adapter(dut, "standard")
@@ -432,6 +434,7 @@ def test_what_a_text_says_of_a_register_goes_first(stack: Path) -> None:
     chip = lib.make("afag-se-power", {"path": str(stack)})
     assert chip.read(0x0000, 1) == (1, b"\x02")
     assert chip.read(0x0110, 2) == (1, b"\x13\x56")
+    assert chip.read(0x1FFF, 2) == (0, bytes(2))
     chip.close()
 
 

@@ -52,6 +52,13 @@ def frame(rest: str) -> str:
 @pytest.mark.parametrize(
     ("tail", "cause"),
     [
+        (
+            "==1==ERROR: AddressSanitizer: stack-buffer-overflow on address 0x7ffc:\n"
+            + frame("in __asan_memcpy (/opt/my/slave+0xa0)")
+            + frame("in ecatspec_chip_pdi_read /opt/adapters/ecatspec_chip.h:512")
+            + frame("in esc_read /src/glue.c:16"),
+            "stack-buffer-overflow in esc_read (glue.c:16)",
+        ),
         (OVERFLOW, "heap-buffer-overflow in write_mailbox (slave.c:212)"),
         (
             "==1==ERROR: AddressSanitizer: attempting double-free on 0x602 in thread T0:\n"

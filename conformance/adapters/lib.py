@@ -39,7 +39,13 @@ if TYPE_CHECKING:
 ABI: Final = 1
 """The version of ecatspec_dut.h that is spoken here."""
 ENTRY: Final = "ecatspec_dut"
+CHIP_ABI: Final = 1
+"""The version of ecatspec_chip.h that is spoken here."""
+CHIP_ENTRY: Final = "ecatspec_chip"
+_REBUILD: Final = "build it with the header in the folder of `ecatspec adapters --include`"
 _SECOND: Final = 1_000_000
+_TOO_LONG: Final = 1 << 32
+"""Microseconds that `poll` cannot tell."""
 _GUARD: Final = b"\xa5\x5a\xc3\x3c\x96\x69\xf0\x0f"
 """What lies behind a buffer, to see whether a device writes beyond it."""
 
@@ -83,6 +89,30 @@ class _Stack(ctypes.Structure):
     )
 
 
+class _Span(ctypes.Structure):
+    _fields_ = (("address", c_uint16), ("size", c_uint16))
+
+
+class _Settings(ctypes.Structure):
+    _fields_ = (
+        ("memory_size", c_uint32),
+        ("registers_end", c_uint32),
+        ("poll", c_uint32),
+        ("writable_registers", c_uint32),
+        ("reset", c_char_p),
+        ("writable", POINTER(_Span)),
+    )
+
+
+class _Chip(ctypes.Structure):
+    _fields_ = (
+        ("abi", c_uint32),
+        ("numbers", c_uint32),
+        ("create", CFUNCTYPE(c_void_p, POINTER(_Stack), POINTER(_Settings))),
+        ("device", _Device),
+    )
+
+
 class _Dut(ctypes.Structure):
     _fields_ = (
         ("abi", c_uint32),
@@ -100,7 +130,7 @@ class _Dut(ctypes.Structure):
 
 def make(device: str, options: Mapping[str, str]) -> Adapter:
     """Load the library at the path of the options, with one instance of what it holds."""
-    dut = _load(options["path"])
+    dut, chip = _load(options["path"])
     protocol: Protocol | None = None
     if dut.stack or dut.protocols is None:
         from ecatspec.conformance.devices import load
@@ -110,28 +140,31 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
     if not dut.stack:
         if "poll" in options:
             raise AdapterError("the library is a whole device and is not polled; leave out poll=")
-        return WholeDevice(dut, description)
+        functions = dut.device.contents
+        return WholeDevice(functions, _created(functions.create()), description)
     assert protocol is not None
-    return BareStack(dut, description, protocol, options.get("poll"))
+    from ecatspec.model.bare import POLL
+    from ecatspec.model.link import linked
+    from ecatspec.spec.language.load import load_link
+
+    poll = options.get("poll")
+    microseconds = POLL if poll is None else _microseconds(poll)
+    # a stack looks at more of the chip than a suite judges
+    protocol = linked(protocol, load_link())
+    if chip is None:
+        return BareStack(dut.stack.contents, description, protocol, microseconds)
+    created = _with_chip(chip, dut.stack, protocol, microseconds)
+    return WholeDevice(chip.device, created, description)
 
 
-def _load(path: str) -> _Dut:
+def _load(path: str) -> tuple[_Dut, _Chip | None]:
     try:
         library = ctypes.CDLL(path)
     except OSError as error:
         raise AdapterError(f"cannot load the library: {error}") from None
-    entry = getattr(library, ENTRY, None)
-    if entry is None:
+    address = _table(path, library, ENTRY, ABI)
+    if address is None:
         message = f"{path} does not export {ENTRY}(); see ecatspec_dut.h"
-        raise AdapterError(message)
-    entry.restype = c_void_p
-    address = entry()
-    if not address:
-        raise AdapterError(f"{ENTRY}() of {path} gives a null pointer; see ecatspec_dut.h")
-    abi = c_uint32.from_address(address).value
-    if abi != ABI:
-        message = f"{path} was built with version {abi} of ecatspec_dut.h, this ecatspec speaks "
-        message += f"{ABI}; build it with the header in the folder of `ecatspec adapters --include`"
         raise AdapterError(message)
     dut = _Dut.from_address(address)
     if bool(dut.device) == bool(dut.stack):
@@ -142,7 +175,44 @@ def _load(path: str) -> _Dut:
         needed = name != "local" or dut.locals
         if needed and not getattr(table.contents, name):
             raise AdapterError(f"{path} has no `{name}` in its table `{part}`; fill it in")
-    return dut
+    at = _table(path, library, CHIP_ENTRY, CHIP_ABI)
+    return dut, None if at is None else _Chip.from_address(at)
+
+
+def _table(path: str, library: ctypes.CDLL, name: str, abi: int) -> int | None:
+    """Give the address of the table that a function gives; None: it is not there."""
+    entry = getattr(library, name, None)
+    if entry is None:
+        return None
+    entry.restype = c_void_p
+    address: int | None = entry()
+    if not address:
+        raise AdapterError(f"{name}() of {path} gives a null pointer; see {name}.h")
+    version = c_uint32.from_address(address).value
+    if version != abi:
+        message = f"{path} was built with version {version} of {name}.h, this ecatspec speaks {abi}"
+        raise AdapterError(f"{message}; {_REBUILD}")
+    return address
+
+
+def _with_chip(chip: _Chip, stack: object, protocol: Protocol, poll: int) -> int:
+    """Create the chip that the library brings, with the stack above it."""
+    from ecatspec.conformance.chip import checksum
+    from ecatspec.model.compiled import Model
+    from ecatspec.model.esc import Esc
+    from ecatspec.spec.language.ir import Access
+
+    model = Model(protocol)
+    if chip.numbers != checksum(model):
+        message = f"ecatspec_chip.h in the library has other registers than {protocol.name!r}"
+        raise AdapterError(f"{message}; {_REBUILD}, or without it")
+    esc = Esc(model)
+    reset = esc.registers()
+    written = [r for r in protocol.registers.values() if r.main is Access.BOTH]
+    spans = [_Span(register.address, register.size) for register in written]
+    writable = (_Span * len(spans))(*spans)
+    settings = _Settings(esc.size, len(reset), poll, len(spans), reset, writable)
+    return _created(chip.create(stack, ctypes.byref(settings)))
 
 
 def _description(dut: _Dut, protocol: Protocol | None) -> Description:
@@ -179,12 +249,12 @@ class _Overrun(Exception):  # noqa: N818
 
 
 class WholeDevice:
-    """Level A: the library is the SubDevice."""
+    """The library is the SubDevice: on level A, and where it brings the chip of its stack."""
 
-    def __init__(self, dut: _Dut, description: Description) -> None:
-        self._functions = functions = dut.device.contents
+    def __init__(self, functions: _Device, created: int, description: Description) -> None:
+        self._functions = functions
         self._description = description
-        self._device: int | None = _created(functions.create())
+        self._device: int | None = created
         self._buffer = ctypes.create_string_buffer(ADDRESS_SPACE + len(_GUARD))
         self._address = ctypes.addressof(self._buffer)
         self._view = memoryview(self._buffer).cast("B")
@@ -233,16 +303,14 @@ class WholeDevice:
 
 
 class BareStack:
-    """Level B: the library is the stack, the ESC is ours."""
+    """Level B: the library is the stack, the ESC is ours, with the texts of the link."""
 
     def __init__(
-        self, dut: _Dut, description: Description, protocol: Protocol, poll: str | None
+        self, functions: _Stack, description: Description, protocol: Protocol, poll: int
     ) -> None:
-        from ecatspec.model.bare import POLL, BareSubDevice
-        from ecatspec.model.link import linked
-        from ecatspec.spec.language.load import load_link
+        from ecatspec.model.bare import BareSubDevice
 
-        self._functions = functions = dut.stack.contents
+        self._functions = functions
         self._description = description
         self._fault: Exception | None = None
         self._hooks = _Esc(
@@ -251,9 +319,7 @@ class BareStack:
             _PDI_READ(self._guarded(self._pdi_write)),
             _AL_EVENT(lambda _: self._esc.al_event()),
         )
-        microseconds = POLL if poll is None else _microseconds(poll)
-        # a stack looks at more of the chip than a suite judges
-        self._bare = BareSubDevice(linked(protocol, load_link()), self, microseconds)
+        self._bare = BareSubDevice(protocol, self, poll)
         self._stack: int | None = _created(functions.create(ctypes.byref(self._hooks)))
         self._poll = functions.poll
         self.reset()
@@ -357,6 +423,6 @@ def _microseconds(text: str) -> int:
         microseconds = round(float(text) * _SECOND)
     except (ValueError, OverflowError):
         microseconds = 0
-    if microseconds < 1:
+    if not 1 <= microseconds < _TOO_LONG:
         raise AdapterError(f"poll={text} is no time between polls; give seconds, e.g. poll=0.001")
     return microseconds

@@ -2,14 +2,14 @@
 #include "application.h"
 #include "slave.h"
 
-#include <ecatspec_dut.h>
+#include <ecatspec_chip.h>
 
 struct esc { const struct ecatspec_esc *of; };
 
 static struct esc esc;
 static struct slave slave;
 
-/* --- the hardware layer of the stack: ecatspec is the chip ------------------------------------ */
+/* --- the hardware layer of the stack: ecatspec_chip.h is the chip ----------------------------- */
 
 uint32_t esc_events(struct esc *at) { return at->of->al_event(at->of->context); }
 void esc_read(struct esc *at, uint16_t address, void *data, size_t length)

@@ -1,8 +1,8 @@
-/* Stack and application as a shared library, level B of docs/adapters.md: ecatspec is the chip.
- * make library, then ecatspec run slave.ecs --dut lib:build/libstack.so */
+/* Stack and application as a shared library, level B of docs/adapters.md: ecatspec_chip.h is the
+ * chip. make library, then ecatspec run slave.ecs --dut lib:build/libstack.so */
 #include "application.h"
 
-#include <ecatspec_dut.h>
+#include <ecatspec_chip.h>
 #include <stdlib.h>
 
 struct esc { const struct ecatspec_esc *of; };

@@ -56,6 +56,10 @@ if TYPE_CHECKING:
 
 SOURCES: Final = ROOT / "examples" / "c_slave"
 TEXT: Final = str(SOURCES / "slave.ecs")
+PYTHON_CHIP: Final = "python_chip"
+"""The folder of the device above the chip in Python."""
+LEVEL_A: Final = "`lib`, level A"
+LEVEL_B: Final = "`lib`, level B"
 FALLS: Final = r"""
 #include <ecatspec_dut.h>
 #include <signal.h>
@@ -119,8 +123,10 @@ def built() -> Iterator[Path]:
         raise Absent("make and cc build the device, and one of them is missing")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        command = (make_program, "-s", "-C", str(SOURCES), f"BUILD={folder}", f"INCLUDE={HEADERS}")
-        subprocess.run((*command, "all", "library"), check=True)
+        command = (make_program, "-s", "-C", str(SOURCES), f"INCLUDE={HEADERS}")
+        subprocess.run((*command, f"BUILD={folder}", "all", "library"), check=True)
+        apart = (f"BUILD={folder / PYTHON_CHIP}", "CHIP=python")
+        subprocess.run((*command, *apart, "library"), check=True)
         options = ("-shared", "-fPIC", f"-I{HEADERS}", "-x", "c", "-")
         out = ("-o", str(folder / "libfalls.so"))
         subprocess.run((compiler, *options, *out), input=FALLS, text=True, check=True)
@@ -152,8 +158,9 @@ def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
             "library in this process": lib.make(TEXT, {"path": str(folder / "libslave.so")}),
         }
         duts = {
-            "`lib`, level A": f"lib:{folder}/libslave.so",
-            "`lib`, level B": f"lib:{folder}/libstack.so",
+            LEVEL_A: f"lib:{folder}/libslave.so",
+            LEVEL_B: f"lib:{folder}/libstack.so",
+            f"{LEVEL_B}, chip in Python": f"lib:{folder / PYTHON_CHIP}/libstack.so",
             "`exec`": f"exec:{program}",
             "`unix`": stack.enter_context(served(program, str(folder / "socket"))),
             "`tcp`, same machine": stack.enter_context(served(program, "")),
@@ -173,8 +180,9 @@ def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
         bare, *others = (each(count, one) for one in in_turns(effort.of(7, 3, 1), *works))
     pairs = dict(zip(ways, zip(others[::2], others[1::2], strict=True), strict=True))
     note = f"{len(cases)} uploads of examples/c_slave, {count} exchanges a round"
-    checked = pairs["`lib`, level A"][1]
-    return Found((rows[0].found(checked, bare, note),), (_table(bare, pairs),))
+    whole, stack_alone = pairs[LEVEL_A][1], pairs[LEVEL_B][1]
+    found = rows[0].found(whole, bare, note), rows[1].found(stack_alone, whole, note)
+    return Found(found, (_table(bare, pairs),))
 
 
 def _table(bare: Figure, pairs: dict[str, tuple[Figure, Figure]]) -> Table:
@@ -239,6 +247,13 @@ PARTS: Final = (
                 Target(Of.RATIO, 3.0),
                 "A bare call is less than a microsecond. Two changes of process keep the device "
                 "from touching its judge, and session and oracle interpret the texts.",
+            ),
+            Row(
+                "exchange-level-b",
+                "checked exchange, stack above `ecatspec_chip.h` (`lib`, level B)",
+                "us",
+                "the same exchange, the same stack as a whole device (`lib`, level A)",
+                Target(Of.RATIO, 1.3),
             ),
         ),
         measure,

@@ -263,7 +263,9 @@ def run(
 
 @cli.command(epilog=_example("adapters"))
 @click.option("--json", "as_json", is_flag=True, help="Give the list as JSON.")
-@click.option("--include", is_flag=True, help="Give the folder of ecatspec_dut.h, for a compiler.")
+@click.option(
+    "--include", is_flag=True, help="Give the folder of the headers for libraries, for a compiler."
+)
 def adapters(*, as_json: bool, include: bool) -> int:
     """List the ways to reach a device under test, as --dut takes them."""
     from ecatspec.conformance import adapters as reachable

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 HEADERS: Final = Path(__file__).resolve().parent / "adapters"
-"""The folder of ecatspec_dut.h."""
+"""The folder of ecatspec_dut.h and ecatspec_chip.h."""
 _MARK: Final = b"\0__asan_init\0"
 """What a library with an address sanitizer wants of the program that loads it."""
 _RUNTIME: Final = re.compile(rb"\0(lib(?:clang_rt\.)?asan[-\w]*\.so[.\d]*)\0")

@@ -4,7 +4,8 @@
  * has one of two parts:
  *
  *   device   level A: a whole SubDevice, with registers and mailboxes as a MainDevice sees them
- *   stack    level B: a stack or firmware above an ESC; ecatspec supplies the ESC
+ *   stack    level B: a stack or firmware above an ESC; ecatspec supplies the ESC, in C where the
+ *            library includes ecatspec_chip.h
  *
  * The library runs in a process of its own, on one thread: a crash, a hang and a report of a sanitizer
  * are verdicts, and the run goes on. stdout and stderr are shown when the device dies.

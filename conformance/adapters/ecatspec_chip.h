@@ -273,8 +273,7 @@ static int ecatspec_chip_owner(const struct ecatspec_chip_state *chip, uint32_t 
             if (offset < buffers->length) {
                 return number;
             }
-            if (offset < buffers->length * (uint32_t)buffers->count
-                && hidden == ECATSPEC_CHIP_NONE) {
+            if (offset < buffers->length * (uint32_t)buffers->count) {
                 hidden = number;
             }
         }

@@ -149,7 +149,7 @@ def served(program: Path, path: str) -> Iterator[str]:
 
 def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
     """Send the same exchanges through each way: by the adapter alone, and checked."""
-    model = Model(load(TEXT))
+    model = Model(load(TEXT), closed=True)
     cases = upload_cases(model, effort)
     with built() as folder, ExitStack() as stack:
         program = folder / "slave"
@@ -224,7 +224,7 @@ def crashes(rows: tuple[Row, ...], effort: Effort) -> Found:
 
 def profile(effort: Effort) -> Profile:
     """Look at the judge; what the other process does is the time in `read` and `write`."""
-    model = Model(load(TEXT))
+    model = Model(load(TEXT), closed=True)
     cases = upload_cases(model, effort)
     with built() as folder:
         adapter = open_adapter(f"lib:{folder}/libslave.so", TEXT)

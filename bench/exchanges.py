@@ -118,14 +118,13 @@ def check(session: Session, cases: Sequence[Case]) -> None:
 
 def upload_cases(model: Model, effort: Effort) -> list[Case]:
     """Give the SDO uploads of a device."""
-    model.dictionary.close()  # as a run does for a device that is made of the text
     cases = [case for case in sdo_cover(model, NO_LIMITS) if case.name.startswith(CASES)]
     return cases[: effort.of(len(cases), len(cases), 3)]
 
 
 def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
     """Compare checked with bare exchanges: in the process, then with the device in another."""
-    model = Model(load_device(DEVICE))
+    model = Model(load_device(DEVICE), closed=True)  # as in a run over the virtual device
     cases = upload_cases(model, effort)
     recorder, recording = Recorder(make(DEVICE, {})), RecordingOracle(model)
     recorded = Session(cast("Adapter", recorder), model, recording)
@@ -168,7 +167,7 @@ def _shares(checked: list[float], bare: list[float], judged: list[float]) -> tup
 
 
 def profile(effort: Effort) -> Profile:
-    model = Model(load_device(DEVICE))
+    model = Model(load_device(DEVICE), closed=True)  # as in a run over the virtual device
     cases = upload_cases(model, effort)
     session = Session(make(DEVICE, {}), model, Oracle(model))
     check(session, cases)

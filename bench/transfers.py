@@ -78,9 +78,8 @@ class Checked:
             path = Path(folder) / "long.ecs"
             index, subindex = KEY
             path.write_text(TEXT.format(index=index, subindex=subindex, size=size), "utf-8")
-            self.model = Model(load(str(path), str(MAILBOX)))
+            self.model = Model(load(str(path), str(MAILBOX)), closed=True)
             self._adapter = make(str(path), {"mailbox": str(MAILBOX)})
-        self.model.dictionary.close()
         self.session = Session(self._adapter, self.model, Oracle(self.model))
         self.session.begin(CHOICES)
         self.give(way_to(self.model, "PREOP"))

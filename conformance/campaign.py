@@ -73,10 +73,11 @@ class _Bench:
                 job.dut, job.device, mailbox=job.mailbox, hang_timeout=job.hang_timeout
             )
             self._job = job
+            description = adapter.describe()
             self._runner = Runner(
-                Model(protocol),
+                Model(protocol, closed=description.closed_dictionary),
                 adapter,
-                adapter.describe(),
+                description,
                 accepted=job.accepted,
                 given=ways_of(protocol, job.choices),
             )

@@ -61,7 +61,7 @@ class Measurement:
 
     def __init__(self, model: Model) -> None:
         """Make all cases, and the sound device."""
-        self.model = model
+        self.model = model = model.as_closed  # what is measured are devices made of texts
         self.violations = Violations(model)
         self._sound = self._device(model.protocol, frozenset())
         self._cases = {case.name: case for case in all_cases(model, NO_LIMITS)}

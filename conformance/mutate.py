@@ -174,9 +174,9 @@ class _Ground:
         self, device: str, depth: str, progress: Progress | None, mailbox: str = ""
     ) -> None:
         protocol = load(device, mailbox)
-        self.model = Model(protocol)
         self.built = as_built(protocol)
         self.heard = Heard(self.built)
+        self.model = Model(protocol, closed=self.heard.describe().closed_dictionary)
         explorer = _Watched(self.built)
         self.machines = _machines(explorer.model, explorer)
         self.explored = explorer.steps

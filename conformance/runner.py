@@ -114,11 +114,9 @@ class Runner:
         `accepted` has the findings that are known, by their identity, and why; `given` the ways of
         the device that need not be found out.
         """
-        self.model = model
+        self.model = model = model.as_closed if description.closed_dictionary else model
         self.adapter = adapter
         self.description = description
-        if description.closed_dictionary:
-            model.dictionary.close()
         self.accepted = accepted
         self.session = Session(adapter, model, Oracle(model), overlooks=True, accepted=accepted)
         self.verdicts: list[Verdict] = []
@@ -745,7 +743,6 @@ def run_device(
     for layer in only:
         if layer not in protocol.machines:
             raise nearest("layer", layer, tuple(protocol.machines))
-    model = Model(protocol)
     given = ways_of(protocol, choices)
     if crew is None:
         adapter = open_adapter(dut, device, mailbox=mailbox, hang_timeout=hang_timeout)
@@ -754,6 +751,7 @@ def run_device(
     with contextlib.ExitStack() as stack:
         stack.callback(adapter.close)
         description = adapter.describe()
+        model = Model(protocol, closed=description.closed_dictionary)
         runner = Runner(model, adapter, description, accepted=known.reasons, given=given)
         runner.crew, runner.only = crew, frozenset(only)
         if keep is not None:

@@ -96,7 +96,8 @@ def state_machine(device: str, dut: Dut = "model") -> type[RuleBasedStateMachine
 
     """
     adapter = open_adapter(dut, device) if isinstance(dut, str) else dut()
-    made = _machine(_Bench(Model(load(device)), adapter))
+    model = Model(load(device), closed=adapter.describe().closed_dictionary)
+    made = _machine(_Bench(model, adapter))
     weakref.finalize(made, adapter.close)
     made.__name__ = made.__qualname__ = f"{device.replace('-', '_')}_machine"
     made.TestCase.settings = _SEARCH

@@ -62,8 +62,7 @@ class Equivalents:
     def __init__(self, built: Protocol, raisable: Collection[str]) -> None:
         """Find out which rules can fire; `raisable` are the local events that can be raised."""
         self._built = built
-        self._meaning = Meaning(built, abstract=False)
-        self._meaning.model.dictionary.close()
+        self._meaning = Meaning(built, abstract=False, closed=True)
         self._chains = Chains(self._meaning)
         self._solver = ForgetfulSolver(self._meaning.symbols)
         self._world = self._meaning.world()

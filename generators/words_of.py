@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.model.cache import Cache
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import field_mask, field_of
 from ecatspec.model.words import (
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
 _BYTE: Final = 8
 _KEPT: Final = 4096
-"""So many words are kept, since many tests say the same."""
+"""Wordings that are kept at most: many tests say the same."""
 _MESSAGES: Final = frozenset({"bytes", "nothing"})
 """Symbols beside the names of frames of what lies in a mailbox."""
 _ANYTHING: Final = "anything"
@@ -47,7 +49,7 @@ class Words:
 
     model: Model
     config: Config
-    _kept: dict[tuple[str, bytes, bytes], str] = field(default_factory=dict)
+    _kept: Cache[tuple[str, bytes, bytes], str] = field(default_factory=partial(Cache, _KEPT))
 
     def say(self, symbol: str, data: bytes) -> str:
         """Say bytes that are written or were seen; zeros at the end of a message may be missing."""
@@ -78,9 +80,7 @@ class Words:
     def _say(self, symbol: str, data: bytes, mask: bytes) -> str:
         key = symbol, data, mask
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.clear()
-            self._kept[key] = self._words(symbol, data, mask)
+            self._kept.keep(key, self._words(symbol, data, mask))
         return self._kept[key]
 
     def _words(self, symbol: str, data: bytes, mask: bytes) -> str:

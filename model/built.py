@@ -105,8 +105,7 @@ class _Fold:
 
     def __init__(self, protocol: Protocol) -> None:
         self.protocol = protocol
-        self.model = Model(protocol, assuming=True)
-        self.model.dictionary.close()
+        self.model = Model(protocol, assuming=True, closed=True)
         decided = {slot for name, slot in self.model.slots.items() if name.startswith("choice ")}
         self.slots = tuple(
             value if slot in decided else UNKNOWN

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, assert_never
 
+from ecatspec.model.cache import Cache
 from ecatspec.model.codec import Codec
 from ecatspec.model.dictionary import CROWDED, ObjectDictionary
 from ecatspec.model.evaluate import (
@@ -84,7 +85,9 @@ if TYPE_CHECKING:
 MAILBOX = "mailbox"
 """The machine that takes all messages, and its outermost layout."""
 _DECODED: Final = 512
-"""So many messages are remembered decoded."""
+"""Messages that are kept decoded at most."""
+_ANSWERS: Final = 16384
+"""Answers of one function that are kept at most."""
 
 
 Holder: TypeAlias = "Callable[[Environment], int | None]"
@@ -165,21 +168,24 @@ _NO_RULE = Scope()
 
 
 class Model:
-    """One protocol, compiled. `assuming`: conditions as assumed, choices first or pinned."""
+    """One protocol, compiled; nobody changes it.
 
-    def __init__(self, protocol: Protocol, *, assuming: bool = False) -> None:
+    `assuming`: conditions as assumed, choices first or pinned. `closed`: exactly the declared
+    objects exist, as a device under test declares; else what the text says of that.
+    """
+
+    def __init__(self, protocol: Protocol, *, assuming: bool = False, closed: bool = False) -> None:
         """Compile every view and layout of the protocol."""
         self.protocol = protocol
         self.assuming = assuming
-        self._decoded: dict[bytes, Message | None] = {}
-        self.answers: tuple[defaultdict[object, dict[tuple[object, ...], Any]], ...] = (
-            defaultdict(dict),
-            defaultdict(dict),
+        self._decoded: Cache[bytes, Message | None] = Cache(_DECODED)
+        self.answers: defaultdict[object, Cache[tuple[object, ...], Any]] = defaultdict(
+            partial(Cache, _ANSWERS)
         )
-        """What functions of the model gave (`once`), with the dictionary open and closed."""
+        """What functions of the model gave (`once`)."""
         self._parameters: dict[tuple[str, str | None], int] = {}
         self.codec = Codec(protocol)
-        self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming)
+        self.dictionary = ObjectDictionary(protocol, self._al_state, exact=assuming, closed=closed)
         self.image = ProcessImage(protocol, self.dictionary, self.parameter)
         self._functions = self.functions()
         self._definitions: dict[tuple[str, Scope], Getter] = {}
@@ -270,6 +276,13 @@ class Model:
         )
 
     @cached_property
+    def as_closed(self) -> Model:
+        """The same texts for a device that has exactly the declared objects."""
+        if self.dictionary.closed:
+            return self
+        return type(self)(self.protocol, assuming=self.assuming, closed=True)
+
+    @cached_property
     def has_mailbox(self) -> bool:
         """Tell whether the device may have a mailbox; else its text says that it has none."""
         support = self.protocol.pins.get("mailbox_support")
@@ -349,10 +362,8 @@ class Model:
         """Decode what lies in a mailbox by the first outermost layout that fits."""
         # the same message is looked at by the device, the session and the oracle
         if data not in self._decoded:
-            if len(self._decoded) >= _DECODED:
-                self._decoded.clear()
             messages = (self.codec.decode(data, root) for root in self._roots)
-            self._decoded[data] = next((each for each in messages if each is not None), None)
+            self._decoded.keep(data, next((each for each in messages if each is not None), None))
         return self._decoded[data]
 
     def takers(self, sender: str, trail: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ecatspec.model.evaluate import Environment, Function
 from ecatspec.model.functions import LONGEST
@@ -33,12 +33,17 @@ class ObjectDictionary:
     who must accept every form in which the value may come.
     """
 
-    def __init__(self, protocol: Protocol, al_state: AlState, *, exact: bool) -> None:
-        """Index the entries; `al_state` tells the AL state of an environment."""
+    def __init__(
+        self, protocol: Protocol, al_state: AlState, *, exact: bool, closed: bool = False
+    ) -> None:
+        """Index the entries; `al_state` tells the AL state of an environment.
+
+        `closed`: exactly the declared objects exist, even if the text does not say so.
+        """
         self.entries: dict[ObjectKey, ObjectEntry] = {
             (entry.index, entry.subindex): entry for entry in protocol.objects
         }
-        self.closed = protocol.dictionary.closed
+        self.closed: Final = closed or protocol.dictionary.closed
         self._exact = exact
         self._al_state = al_state
         self._states = {row.name: row.value for row in protocol.tables["al_state"].rows}
@@ -106,10 +111,6 @@ class ObjectDictionary:
     def highest(self, index: int) -> int:
         """Give the highest declared subindex of an object."""
         return self._highest[index]
-
-    def close(self) -> None:
-        """Take it that exactly the declared objects exist, as a device under test declares."""
-        self.closed = True
 
     def _of_entry(self, test: _Test) -> Function:
         def function(environment: Environment, arguments: tuple[Value, ...]) -> Value:

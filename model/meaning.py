@@ -80,12 +80,15 @@ class Meaning:
     """The terms of one specification.
 
     `abstract`: which objects there are is not known, as in the standard, which has none of its own.
+    `closed`: exactly the declared objects exist, even if the text does not say so.
     """
 
-    def __init__(self, protocol: Protocol, *, abstract: bool | None = None) -> None:
+    def __init__(
+        self, protocol: Protocol, *, abstract: bool | None = None, closed: bool = False
+    ) -> None:
         """Compile the interpreter's side, which answers what needs no solver."""
         self.protocol = protocol
-        self.model = Model(protocol)
+        self.model = Model(protocol, closed=closed)
         self.symbols = Symbols()
         self.abstract = protocol.name == STANDARD if abstract is None else abstract
         self.kinds = _kinds(protocol)

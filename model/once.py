@@ -1,4 +1,4 @@
-"""The only place for remembering what a function of a model and of frozen arguments gave."""
+"""Keeps what functions of a model and of frozen arguments gave."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
 _Arguments = TypeVarTuple("_Arguments")
 _R = TypeVar("_R")
-_MOST: Final = 16384
-"""So many answers of one function are kept; then it begins anew."""
 _NONE_YET: Final = object()
 
 
@@ -27,14 +25,12 @@ def once(
 
     @wraps(function)
     def remember(model: Model, /, *arguments: *_Arguments) -> _R:
-        # somebody may close the dictionary at any time
-        answers = model.answers[model.dictionary.closed][function]
+        answers = model.answers[function]
         # one look only: hashes of tuples are worked out at each
         answer: _R = answers.get(arguments, _NONE_YET)
         if answer is _NONE_YET:
-            if len(answers) >= _MOST:
-                answers.clear()
-            answer = answers[arguments] = function(model, *arguments)
+            answer = function(model, *arguments)
+            answers.keep(arguments, answer)
         return answer
 
     return remember

@@ -95,9 +95,7 @@ class _Reach:
     """The states, inputs and rules that were reached so far."""
 
     def __init__(self, protocol: Protocol, ways: Mapping[str, str], *, closed: bool) -> None:
-        self._model = model = _Vague(protocol)
-        if closed:
-            model.dictionary.close()
+        self._model = model = _Vague(protocol, closed=closed)
         self._states = {
             machine.name: {model.row(machine.table, machine.initial)}
             for machine in protocol.machines.values()

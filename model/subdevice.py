@@ -399,8 +399,7 @@ def _compiled(protocol: Protocol) -> Model:
     """
     model = _MODELS.pop(id(protocol), None)
     if model is None:
-        model = Model(protocol, assuming=True)
-        model.dictionary.close()
+        model = Model(protocol, assuming=True, closed=True)
         if len(_MODELS) == _MOST:
             del _MODELS[next(iter(_MODELS))]
     _MODELS[id(protocol)] = model  # which keeps the protocol, so that no other has its number

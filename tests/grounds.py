@@ -158,7 +158,7 @@ def wanted(ground: Ground, cases: Iterable[Case]) -> Iterator[Case]:
 @cache
 def suite(ground: Ground) -> Suite:
     """Run the sound device once: what it goes by, and what it is blamed for."""
-    model = Model(load(ground.device, ground.mailbox))
+    model = Model(load(ground.device, ground.mailbox), closed=True)
     made = Suite(ground, model, {"mailbox": ground.mailbox} if ground.mailbox else {})
     runner = made.runner({})
     for case in wanted(ground, all_cases(model, NO_LIMITS, DEPTH)):

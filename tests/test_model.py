@@ -302,9 +302,7 @@ OF_AN_OBJECT = (
 @pytest.mark.parametrize("name", OF_AN_OBJECT)
 @pytest.mark.parametrize("closed", [False, True])
 def test_of_an_object_that_is_not_known_nothing_is(name: str, *, closed: bool) -> None:
-    model = Model(load_device("reference"))
-    if closed:
-        model.dictionary.close()
+    model = Model(load_device("reference"), closed=closed)
     function = model.dictionary.functions[name]
     environment = Environment(model.initial.slots, {}, {})
     assert is_any(function(environment, (UNKNOWN, 0, b"")))

@@ -125,8 +125,7 @@ def judge_of(protocol: Protocol) -> Model:
     for model in KNOWN:
         if model.protocol is protocol:
             return model
-    model = Model(protocol)
-    model.dictionary.close()
+    model = Model(protocol, closed=True)
     KNOWN.append(model)
     return model
 
@@ -423,8 +422,7 @@ def test_a_wrong_power_on_value_cites_its_clause() -> None:
 
 REFERENCE = replace(load_device("reference"), pins={})
 """Every choice of the standard open, as before a device has shown its ways."""
-JUDGE = Model(REFERENCE)
-JUDGE.dictionary.close()
+JUDGE = Model(REFERENCE, closed=True)
 OPEN = replace(REFERENCE, dictionary=replace(REFERENCE.dictionary, closed=False))
 SEGMENTS = SendSegments()
 
@@ -706,14 +704,23 @@ class Whims(Model):
 class Whimsical(VirtualSubDevice):
     """A device that the texts allow and that nobody can foresee; `fired` are its rules."""
 
-    def __init__(self, protocol: Protocol, seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(
+        self,
+        protocol: Protocol,
+        seed: int,
+        monkeypatch: pytest.MonkeyPatch,
+        *,
+        knows_all: bool = True,
+    ) -> None:
         self.dice = random.Random(seed)
         self.fired: set[str] = set()
 
-        def whims(protocol: Protocol, *, assuming: bool) -> Whims:
+        def whims(protocol: Protocol, *, assuming: bool, closed: bool) -> Whims:
             model = Whims.__new__(Whims)
             model.dice, model.truths = self.dice, {}
-            model.__init__(protocol, assuming=assuming)  # type: ignore[misc]
+            model.__init__(  # type: ignore[misc]
+                protocol, assuming=assuming, closed=closed and knows_all
+            )
             return model
 
         with monkeypatch.context() as patch:
@@ -754,8 +761,7 @@ class Whimsical(VirtualSubDevice):
     def _run(self, event: Event, message: Message | None = None) -> None:
         assert isinstance(self.model, Whims)
         self.model.truths.clear()
-        for answers in self.model.answers:
-            answers.clear()
+        self.model.answers.clear()
         super()._run(event, message)
 
     def _send(self, outputs: tuple[Output, ...]) -> None:
@@ -769,8 +775,7 @@ def test_no_mixture_of_freedoms_is_blamed(seed: int, monkeypatch: pytest.MonkeyP
     objects that no text declares.
     """
     known = bool(seed % 2)
-    device = Whimsical(REFERENCE, seed, monkeypatch)
-    device.model.dictionary.closed = known
+    device = Whimsical(REFERENCE, seed, monkeypatch, knows_all=known)
     judge = JUDGE if known else Model(OPEN)
     assert blamed(device, judge, *STIMULI) == ""
     assert len(device.fired) > 20

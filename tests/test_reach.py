@@ -23,10 +23,7 @@ EACH_GROUND = [
 
 
 def model_of(device: str, *, closed: bool = False) -> Model:
-    model = Model(load(device))
-    if closed:
-        model.dictionary.close()
-    return model
+    return Model(load(device), closed=closed)
 
 
 def beyond(device: str, *, closed: bool = False, **ways: str) -> frozenset[str]:

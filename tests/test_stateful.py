@@ -130,8 +130,7 @@ def test_no_sound_device_is_blamed_for_a_trace(data: st.DataObject) -> None:
 
 @cache
 def bench() -> Session:
-    model = Model(load(DEVICE))
-    model.dictionary.close()
+    model = Model(load(DEVICE), closed=True)
     adapter = make(DEVICE, {})
     oracle = Oracle(model)
     oracle.raised = adapter.describe().locals

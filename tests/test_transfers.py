@@ -66,8 +66,7 @@ class Line:
 
 @cache
 def line(mailbox: str, fault: str = "") -> Line:
-    model = Model(load(DEVICE, mailbox))
-    model.dictionary.close()
+    model = Model(load(DEVICE, mailbox), closed=True)
     adapter = make(DEVICE, {"mailbox": mailbox} | ({"fault": fault} if fault else {}))
     return Line(Session(adapter, model, Oracle(model)))
 

@@ -97,12 +97,12 @@ class Bench:
         if wanted.depth == "exhaustive" and find_spec("z3") is None:
             raise UserError("exhaustive needs the package z3-solver; install ecatspec[prove]")
         accepted = known.of(wanted.known, protocol.name).reasons
-        self.model = Model(protocol)
-        self.exercise = Exercise(self.model)
         self.adapter = open_adapter(
             wanted.dut, wanted.device, mailbox=wanted.mailbox, hang_timeout=wanted.hang_timeout
         )
         self.description = self.adapter.describe()
+        self.model = Model(protocol, closed=self.description.closed_dictionary)
+        self.exercise = Exercise(self.model)
         self.runner = Runner(self.model, self.adapter, self._described(), accepted=accepted)
 
     def _described(self) -> Description:

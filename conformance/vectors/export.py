@@ -134,8 +134,7 @@ class Export:
                 raise nearest("layer", name, tuple(protocol.machines))
         given = self.wanted.choices
         self.protocol = pinned(protocol, {n: w for n, w in given.items() if n in protocol.choices})
-        self._model = Model(self.protocol)
-        self._model.dictionary.close()
+        self._model = Model(self.protocol, closed=True)
         self._truths = {n: way for n, way in given.items() if n in protocol.conditions}
         device = assuming(going(self.protocol, SHAPE), self._truths)
         description = described(device)

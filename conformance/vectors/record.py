@@ -26,6 +26,7 @@ from ecatspec.generators.vectors import (
     Step,
     Write,
 )
+from ecatspec.model.cache import Cache
 from ecatspec.model.candidates import Exchange
 from ecatspec.model.compiled import MAILBOX
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
@@ -55,7 +56,7 @@ _STATUS, _ACKNOWLEDGE = f"{MAIN_IN}_status", f"{MAIN_IN}_pdi_control"
 COUNTER, LENGTH = "counter", "length"
 _BYTE: Final = 8
 _KEPT: Final = 4096
-"""So many expectations are kept, since many tests begin alike."""
+"""Expectations that are kept at most: many tests begin alike."""
 _LONGEST: Final = 3_600_000_000
 """Microseconds after which a device that is still busy counts as never coming to rest."""
 _ROUNDS: Final = 16
@@ -92,7 +93,7 @@ class Recorder(Session):
         self._full_before: Oracle | None = None
         self._rules_told = 0
         self._states: dict[str, str] = {}
-        self._kept: dict[object, _Made] = {}
+        self._kept: Cache[object, _Made] = Cache(_KEPT)
         self._besides: Explanations = {}
         """What explains something that is only seen where the device did something by itself."""
         low, width = model.codec.place(MAILBOX, COUNTER)
@@ -325,9 +326,8 @@ class Recorder(Session):
             self._peeks,
         )
         if key not in self._kept:
-            if len(self._kept) >= _KEPT:
-                self._kept.clear()
-            self._kept[key] = _Made(make(before, exchange), tuple(self._besides.items()))
+            made = _Made(make(before, exchange), tuple(self._besides.items()))
+            self._kept.keep(key, made)
         return self._kept[key]
 
     def _fullness(self, before: Oracle, exchange: Exchange, *, full: bool) -> Full:

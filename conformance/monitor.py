@@ -82,10 +82,7 @@ class Follower:
         exchange = _exchange(transaction)
         if not transaction.confirmed:
             self.lost += 1
-            if transaction.write:
-                self.oracle.perhaps_written(exchange)
-            else:
-                self.oracle.perhaps_read(transaction.address, len(transaction.data))
+            self.oracle.perhaps(exchange)
             return
         self.exchanges += 1
         self._remember(exchange)

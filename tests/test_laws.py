@@ -25,6 +25,17 @@ ALLOWED_NUMBERS: dict[tuple[str, str], str] = {
 # Law 3: what the core may not import, since it is a clock, a network, a process or a true random.
 OUTSIDE_WORLD = {"asyncio", "secrets", "select", "signal", "socket", "subprocess", "time"}
 
+# Public members of a class at most, and the classes that are above that.
+MOST_MEMBERS = 25
+MEMBERS_OF_ORACLE = 20
+LARGE_CLASSES: dict[str, str] = {
+    "ecatspec.conformance.runner.Runner": "a run as a whole",
+    "ecatspec.generators.complete.chain._Chain": "the search keeps its work beside what it found",
+    "ecatspec.model.compiled.Model": "all that is worked out of a text before it runs",
+    "ecatspec.model.wire.WireFormat": "one member for each part of a frame",
+    "ecatspec.spec.language.ir.Protocol": "one member for each kind of declaration",
+}
+
 
 def name_of(path: Path) -> str:
     """File in the tree -> module of the installed package."""
@@ -150,6 +161,46 @@ def test_law_12_the_first_line_says_what_the_module_is_for(module: str) -> None:
     docstring = ast.get_docstring(ast.parse(MODULES[module].read_bytes()))
     assert docstring, f"{MODULES[module]}:1: a module starts with a docstring"
     assert docstring.splitlines()[0].strip()
+
+
+def classes_of(module: str) -> Iterator[tuple[str, set[str]]]:
+    """Name and public members of every class of a module; the rows of an enum are no members."""
+    for node in ast.walk(ast.parse(MODULES[module].read_bytes())):
+        if isinstance(node, ast.ClassDef):
+            names = {name for part in node.body for name in members_in(part)}
+            yield f"{module}.{node.name}", {name for name in names if not name.startswith("_")}
+
+
+def members_in(part: ast.stmt) -> Iterator[str]:
+    """What a statement of a class defines: a field, a method, what a method keeps in `self`."""
+    match part:
+        case ast.AnnAssign(target=ast.Name(id=name)):
+            yield name
+        case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
+            yield name
+            for node in ast.walk(part):
+                match node:
+                    case ast.Attribute(value=ast.Name(id="self"), attr=kept, ctx=ast.Store()):
+                        yield kept
+                    case _:
+                        pass
+        case _:
+            pass
+
+
+def test_no_class_has_too_many_public_members() -> None:
+    large = {
+        name
+        for module in MODULES
+        for name, members in classes_of(module)
+        if len(members) > MOST_MEMBERS
+    }
+    assert large == LARGE_CLASSES.keys()
+
+
+def test_the_oracle_has_few_public_members() -> None:
+    members = dict(classes_of("ecatspec.model.oracle.oracle"))
+    assert len(members["ecatspec.model.oracle.oracle.Oracle"]) <= MEMBERS_OF_ORACLE
 
 
 def test_package_list_equals_the_tree() -> None:

@@ -927,7 +927,7 @@ class Deaf(Session):
         place = self.model.parameter("mailbox_in", "start")
         if self.unheard and exchange.address == place and not exchange.write:
             self.unheard -= 1
-            self.oracle.perhaps_read(exchange.address, len(exchange.data))
+            self.oracle.perhaps(exchange)
             return
         super()._observe(exchange)
 

@@ -360,10 +360,24 @@ class Oracle:
         """Take it that registers hold what was written; what the device made of it is not known."""
         self.candidates = hold_registers(self.model, self.candidates, exchange)
 
-    def perhaps_read(self, address: int, length: int) -> None:
-        """Take it that the MainDevice may have read here: a reply may be gone."""
+    def perhaps(self, exchange: Exchange) -> None:
+        """Take it that the device may have got this, and nobody saw what it answered.
+
+        A reply that was perhaps read may be gone; of a write but for outputs nothing is known.
+        """
+        if not exchange.write:
+            self._perhaps_read(exchange)
+        elif self.known.concerned(DATA_OUT, exchange):
+            outputs = self._outputs_of(exchange.data)
+            unfed = list(self.expanded(exchange.time).items())
+            with_them = [(fed(self.model, c, outputs, exchange.time), h) for c, h in unfed]
+            self.candidates = widened((*self.candidates.items(), *unfed, *with_them))
+        else:
+            self.unknown()
+
+    def _perhaps_read(self, exchange: Exchange) -> None:
         area = self.known.area(MAIN_IN)
-        if area is None or not address < area[0] + area[1] <= address + length:
+        if area is None or not covers_end(area, exchange):
             return
         after = dict(self.candidates)
         for candidate, history in self.expanded(-1).items():
@@ -375,16 +389,6 @@ class Oracle:
                     gone = left(self.model, candidate, taken, tuple(rest), 0)
                     after.setdefault(structs.replace(gone, last=None), history + taken.rules)
         self.candidates = after
-
-    def perhaps_written(self, exchange: Exchange) -> None:
-        """Take it that the MainDevice may have written here; but for outputs nothing is known."""
-        if not self.known.concerned(DATA_OUT, exchange):
-            self.unknown()
-            return
-        outputs = self._outputs_of(exchange.data)
-        unfed = list(self.expanded(exchange.time).items())
-        with_them = [(fed(self.model, c, outputs, exchange.time), h) for c, h in unfed]
-        self.candidates = widened((*self.candidates.items(), *unfed, *with_them))
 
     def forget_history(self) -> None:
         """Keep the last rule of each machine, and no accidents: some runs have no end."""

@@ -46,7 +46,7 @@ def runner_of(device: str) -> Runner:
 def walked(runner: Runner, walks: Sequence[Case]) -> None:
     """Judge walks as a run does."""
     for case in walks:
-        verdict = runner.judge(case)
+        verdict = runner.executor.judge(case)
         assert not verdict.reason, verdict.reason
 
 
@@ -130,11 +130,11 @@ def measure(rows: tuple[Row, ...], effort: Effort) -> Found:
     runner = runner_of(DEVICE)
     walks = [runner.walk(seed) for seed in range(count)]
     walked(runner, walks[:2])
-    session, objects = runner.session, runner.configuration()
+    session, objects = runner.executor.session, runner.executor.configuration()
     steps, inputs = count * WALK, kinds(walks)
 
     own = Counted(session.apply)
-    rival = state_machine(partial(session.begin, runner.choices, objects), own, inputs)
+    rival = state_machine(partial(session.begin, runner.known.choices, objects), own, inputs)
     ours, theirs, inside = rates(
         rounds, steps, partial(walked, runner, walks), partial(explored, rival, count), own
     )

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.case_executor import CaseExecutor
 from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.dut_knowledge import ways_of
 from ecatspec.conformance.pools import Died, cluster_pool, process_pool
-from ecatspec.conformance.runner import Runner, ways_of
 from ecatspec.conformance.steps import Judged, Knowledge, Search
 from ecatspec.conformance.verdict import CAUSED, Outcome
 from ecatspec.model.compiled import Model
@@ -59,11 +60,11 @@ class _Bench:
     def __init__(self) -> None:
         self.lock = threading.Lock()  # a worker of a cluster may have several threads
         self._job: Job | None = None
-        self._runner: Runner | None = None
+        self._executor: CaseExecutor | None = None
 
-    def runner(self, job: Job) -> Runner:
-        """Give the runner of a run, with its device."""
-        if self._runner is None or self._job != job:
+    def executor(self, job: Job) -> CaseExecutor:
+        """Give the executor of a run, with its device."""
+        if self._executor is None or self._job != job:
             self.clear()
             protocol = load(job.device, job.mailbox)
             if protocol.digest != job.digest:
@@ -74,20 +75,20 @@ class _Bench:
             )
             self._job = job
             description = adapter.describe()
-            self._runner = Runner(
+            self._executor = CaseExecutor(
                 Model(protocol, closed=description.closed_dictionary),
                 adapter,
                 description,
                 accepted=job.accepted,
                 given=ways_of(protocol, job.choices),
             )
-        return self._runner
+        return self._executor
 
     def clear(self) -> None:
         """Let go of the device."""
-        if self._runner is not None:
-            self._runner.adapter.close()
-        self._job = self._runner = None
+        if self._executor is not None:
+            self._executor.adapter.close()
+        self._job = self._executor = None
 
 
 _BENCH: Final = _Bench()
@@ -96,7 +97,7 @@ _BENCH: Final = _Bench()
 def describe(job: Job) -> Mapping[str, object]:
     """Give what the device of a worker says of itself."""
     with _BENCH.lock:
-        return _BENCH.runner(job).description.to_json()
+        return _BENCH.executor(job).description.to_json()
 
 
 def judge(
@@ -104,14 +105,14 @@ def judge(
 ) -> list[Judged]:
     """Judge steps in a worker, as one who knows just this; nothing else decides the verdicts."""
     with _BENCH.lock:
-        runner = _BENCH.runner(job)
-        if runner.description.to_json() != described:
-            name = runner.description.name
+        executor = _BENCH.executor(job)
+        if executor.description.to_json() != described:
+            name = executor.description.name
             raise UserError(f"{name} describes itself otherwise than the first; use equal devices")
         found = []
         for step in steps:
-            runner.knowing(knowledge)
-            found.append(runner.take(step))
+            executor.known.restore(knowledge)
+            found.append(executor.take(step))
             knowledge = knowledge.after(found[-1])
         return found
 

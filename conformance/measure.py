@@ -13,10 +13,11 @@ from itertools import chain, islice, zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
+from ecatspec.conformance.dut_knowledge import shape_of
 from ecatspec.conformance.evidence import Evidence, Violations, digest_of
 from ecatspec.conformance.exercise import Touch
 from ecatspec.conformance.mutate import PATIENCE, Heard, OverdueError, overdue
-from ecatspec.conformance.runner import Runner, shape_of
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.trace import demands
 from ecatspec.conformance.verdict import FOUND, Outcome
 from ecatspec.generators.case import NO_LIMITS, SendFrame
@@ -167,10 +168,10 @@ class Measurement:
         runner = device.runner
         runner.needed = set() if state is None else {state}
         for case in needing[:_WAYS]:
-            runner.choices = shape_of(self.model.protocol)
+            runner.known.choices = shape_of(self.model.protocol)
             try:
                 with overdue(PATIENCE):
-                    runner.judge(case)
+                    runner.executor.judge(case)
             except (DeviceFault, AdapterError, OverdueError):
                 return False
         return state in runner.unreached()
@@ -180,18 +181,18 @@ class Measurement:
         log = self._log(name)
         if log is None or not device.heard.differs(log):
             return None
-        device.runner.choices = shape_of(self.model.protocol)
-        device.runner.signatures = set()
+        device.runner.known.choices = shape_of(self.model.protocol)
+        device.runner.known.signatures = set()
         try:
             with overdue(PATIENCE):
-                return device.runner.judge(self._cases[name])
+                return device.runner.executor.judge(self._cases[name])
         except (DeviceFault, AdapterError, OverdueError):
             return None
 
     def _log(self, name: str) -> _Log | None:
         if name not in self._shown:
-            self._sound.runner.choices = shape_of(self.model.protocol)
-            verdict = self._sound.runner.judge(self._cases[name])
+            self._sound.runner.known.choices = shape_of(self.model.protocol)
+            verdict = self._sound.runner.executor.judge(self._cases[name])
             sound = verdict.outcome not in FOUND
             self._shown[name] = tuple(self._sound.heard.log) if sound else None
         return self._shown[name]

@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Final, ParamSpec, TypeAlias, TypeVar
 
 from ecatspec.conformance.adapter import DeviceFault, DeviceHang
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.case_executor import CaseExecutor
 from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.dut_knowledge import shape_of
 from ecatspec.conformance.guard import Guarded
 from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
-from ecatspec.conformance.runner import Runner, shape_of
 from ecatspec.conformance.verdict import BLAMING
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
@@ -183,8 +184,8 @@ class _Ground:
         self.explored_rules = {r for taken in self.explored.values() for r in taken.step.rules}
         self.explored_states = _states(explorer.model, self.explored.values())
         self.steps: dict[int, _Taken] = {}
-        runner = Runner(self.model, self.heard, self.heard.describe())
-        runner.configuration()
+        executor = CaseExecutor(self.model, self.heard, self.heard.describe())
+        executor.configuration()
         self.asked = tuple(self.heard.log)
         cases = list(all_cases(self.model, NO_LIMITS, depth))
         local = self.heard.describe().locals
@@ -197,14 +198,14 @@ class _Ground:
         for number, case in enumerate(cases):
             if progress is not None:
                 progress(number, len(cases), f"{device}: {case.name}")
-            runner.choices = shape_of(runner.model.protocol)
-            if runner.judge(case).outcome in BLAMING:
+            executor.known.choices = shape_of(executor.model.protocol)
+            if executor.judge(case).outcome in BLAMING:
                 raise UserError(f"{device} is blamed without a mistake in {case.name}: repair it")
             steps = self.heard.device.steps
             self.steps |= steps
             log = tuple(self.heard.log)
-            self.shown.append(_Shown(case, log, frozenset(steps), runner.choices))
-        self.configured = runner.configured
+            self.shown.append(_Shown(case, log, frozenset(steps), executor.known.choices))
+        self.configured = executor.configured
         self.equivalents = _equivalents(self.built, local)
         self.groups = _groups(self.built)
         self.behind = _behind(self.built)
@@ -227,15 +228,15 @@ class _Ground:
             return Fated(mutant, Fate.KILLED, "power-on")
         if self.equivalents is not None and self.equivalents.proved(mutant):
             return Fated(mutant, Fate.EQUIVALENT)
-        runner = Runner(self.model, heard, heard.describe())
+        executor = CaseExecutor(self.model, heard, heard.describe())
         if not heard.differs(self.asked):
-            runner.configured = self.configured
+            executor.configured = self.configured
         touched = sorted(self._touched(mutant, heard.device), key=lambda shown: len(shown.log))
         differing: list[_Shown] = []
         for shown in touched:
             if heard.differs(shown.log):
-                runner.choices = shape_of(runner.model.protocol)
-                if (found := self._judged(mutant, runner, shown)) is not None:
+                executor.known.choices = shape_of(executor.model.protocol)
+                if (found := self._judged(mutant, executor, shown)) is not None:
                     return found
                 differing.append(shown)
         # the ways that it went in other cases it must go in these too
@@ -243,8 +244,8 @@ class _Ground:
         shape = shape_of(self.model.protocol)
         ways = shape | dict(way for choices in others for way in choices.items())
         for shown in differing:
-            runner.choices = dict(ways)
-            if (found := self._judged(mutant, runner, shown)) is not None:
+            executor.known.choices = dict(ways)
+            if (found := self._judged(mutant, executor, shown)) is not None:
                 return found
         if differing:
             return Fated(mutant, Fate.TOLERATED, differing[0].case.name)
@@ -254,10 +255,10 @@ class _Ground:
             return Fated(mutant, Fate.TOLERATED)
         return Fated(mutant, Fate.UNNOTICED)
 
-    def _judged(self, mutant: Mutant, runner: Runner, shown: _Shown) -> Fated | None:
+    def _judged(self, mutant: Mutant, executor: CaseExecutor, shown: _Shown) -> Fated | None:
         try:
             with overdue(PATIENCE):
-                verdict = runner.judge(shown.case)
+                verdict = executor.judge(shown.case)
         except OverdueError:
             return Fated(mutant, Fate.KILLED, shown.case.name)
         if verdict.outcome not in BLAMING:

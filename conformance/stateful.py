@@ -15,8 +15,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from ecatspec.conformance.adapter import DeviceFault
 from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.case_executor import CaseExecutor, limits_of
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner, limits_of
 from ecatspec.conformance.session import Deviation, InconclusiveError
 from ecatspec.conformance.shrink import shortest
 from ecatspec.generators import strategies
@@ -119,23 +119,23 @@ class _Bench:
 
     model: Model
     adapter: Adapter
-    runner: Runner = field(init=False)
+    executor: CaseExecutor = field(init=False)
     told: dict[str, str] = field(default_factory=dict)
     """What was said of each kind of failure."""
 
     def __post_init__(self) -> None:
-        self.runner = Runner(self.model, self.adapter, self.adapter.describe())
+        self.executor = CaseExecutor(self.model, self.adapter, self.adapter.describe())
 
     def begin(self) -> None:
         """Power cycle the device."""
-        self.runner.configured = None
-        objects = self.runner.configuration()
-        self.runner.session.begin(self.runner.choices, objects)
+        self.executor.configured = None
+        objects = self.executor.configuration()
+        self.executor.session.begin(self.executor.known.choices, objects)
 
     def apply(self, stimulus: Stimulus) -> _Failure | None:
         """Give one stimulus; give what is wrong then."""
         try:
-            self.runner.session.apply(stimulus)
+            self.executor.session.apply(stimulus)
         except Deviation as deviation:
             found = deviation.mismatch
             clauses = [self.model.protocol.clauses[name] for name in found.clauses]
@@ -181,7 +181,7 @@ class _Bench:
         return f"{found.words}\ntoken: {token_of(short)}"
 
     def _with_trace(self, words: Sequence[str]) -> str:
-        trace = self.runner.session.trace
+        trace = self.executor.session.trace
         lines = [f"  {line.time / 1000:.3f} ms {line.who} {line.what}" for line in trace]
         return "\n".join(("", *words, "trace:", *lines))
 
@@ -194,7 +194,7 @@ def _off(managers: Iterable[str]) -> Iterator[Stimulus]:
 
 def _machine(bench: _Bench) -> type[RuleBasedStateMachine]:
     """Give the rules; those that the device or the way to it has no use for are left out."""
-    model, description = bench.model, bench.runner.description
+    model, description = bench.model, bench.executor.description
     limits = limits_of(description)
     protocol = model.protocol
     states = [r.value for r in protocol.tables["al_state"].rows]

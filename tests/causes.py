@@ -37,9 +37,9 @@ def findings_of_fault(name: str) -> tuple[Finding, ...]:
     runner = made.runner({"fault": name})
     verdicts = []
     for case in made.ordered(fault):
-        verdicts.append(runner.judge(case))
+        verdicts.append(runner.executor.judge(case))
         if verdicts[-1].outcome in CAUSED:
-            runner.signatures.add(verdicts[-1].signature)
+            runner.known.signatures.add(verdicts[-1].signature)
     return Result("", "", tuple(verdicts), (), 0, (), 0, 0.0).findings()
 
 

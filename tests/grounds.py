@@ -162,11 +162,11 @@ def suite(ground: Ground) -> Suite:
     made = Suite(ground, model, {"mailbox": ground.mailbox} if ground.mailbox else {})
     runner = made.runner({})
     for case in wanted(ground, all_cases(model, NO_LIMITS, DEPTH)):
-        runner.rules = set()
+        runner.known.rules = set()
         end = LONG if case.layer.startswith("sdo") else None
-        verdict = runner.judge(replace(case, stimuli=case.stimuli[:end]))
+        verdict = runner.executor.judge(replace(case, stimuli=case.stimuli[:end]))
         if verdict.outcome is not Outcome.PASS:
             made.blamed.append(f"{verdict.case}: {verdict.outcome} {verdict.observed}")
-        made.cases.append((case, frozenset(map(str, runner.rules))))
+        made.cases.append((case, frozenset(map(str, runner.known.rules))))
     gc.freeze()  # what stays need not be looked at by each collection
     return made

@@ -170,6 +170,6 @@ class Resumed(Session):
 def resumed(model: Model, adapter: VirtualAdapter) -> Runner:
     """Give a runner that does not do again what cases have in common at their beginning."""
     runner = Runner(model, adapter, adapter.describe())
-    oracle = runner.session.oracle
-    runner.session = Resumed(adapter, model, oracle)
+    oracle = runner.executor.session.oracle
+    runner.executor.session = Resumed(adapter, model, oracle)
     return runner

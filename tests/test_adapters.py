@@ -291,7 +291,9 @@ def probed(dut: str, mailbox: str) -> Outcome:
     adapter = open_adapter(dut, "standard")
     try:
         runner = Runner(model, adapter, adapter.describe())
-        return runner.judge(Case("probe", "", "sdo", (*way_to(model, "PREOP"), Probe()))).outcome
+        return runner.executor.judge(
+            Case("probe", "", "sdo", (*way_to(model, "PREOP"), Probe()))
+        ).outcome
     finally:
         adapter.close()
 

@@ -139,7 +139,7 @@ def judged(
     runner = Runner(model(), cast("Adapter", way), way.describe())
     with patch.context() as patched:
         patched.setattr(Session, "_observe", observed)
-        verdicts = [runner.judge(case) for case in cases()]
+        verdicts = [runner.executor.judge(case) for case in cases()]
     adapter.close()
     return verdicts, exchanges, way.asked
 

@@ -190,7 +190,7 @@ def test_a_sound_device_passes_every_case(device: str) -> None:
     runner = resumed(Model(load_device(device)), adapter)
     cases = covered(device).cases
     assert len(cases) > 200
-    verdicts = [runner.judge(case) for case in cases]
+    verdicts = [runner.executor.judge(case) for case in cases]
     assert [v for v in verdicts if v.outcome is not Outcome.PASS] == []
 
 
@@ -198,7 +198,7 @@ def test_a_sound_device_passes_every_case(device: str) -> None:
 def test_a_planted_fault_is_found(fault: str) -> None:
     adapter = make(DEVICE, {"fault": fault})
     runner = resumed(Model(load_device(DEVICE)), adapter)
-    assert any(runner.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
+    assert any(runner.executor.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
 
 
 @pytest.mark.parametrize(("definition", "old", "new"), OFF_BY_ONE)
@@ -206,7 +206,7 @@ def test_a_comparison_that_is_off_by_one_is_found(definition: str, old: str, new
     wrong = off_by_one(load_device(DEVICE), definition, old, new)
     adapter = VirtualAdapter(VirtualSubDevice(wrong), described(wrong))
     runner = resumed(Model(load_device(DEVICE)), adapter)
-    assert any(runner.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
+    assert any(runner.executor.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
 
 
 def test_without_the_solver_only_the_call_fails(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -129,7 +129,7 @@ def cases() -> tuple[Case, ...]:
 def judged(program: Path, prefix: str) -> Iterator[Verdict]:
     with ProcessAdapter([str(program)]) as adapter:
         runner = Runner(model(), adapter, adapter.describe())
-        yield from (runner.judge(case) for case in cases() if case.name.startswith(prefix))
+        yield from (runner.executor.judge(case) for case in cases() if case.name.startswith(prefix))
 
 
 def test_the_device_conforms(slave: Path) -> None:

@@ -22,9 +22,10 @@ from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.campaign import Job, Workers, crew, stands
 from ecatspec.conformance.devices import UserError, load, pinned
+from ecatspec.conformance.dut_knowledge import SHAPE
 from ecatspec.conformance.pools import Died
 from ecatspec.conformance.results import begin, read
-from ecatspec.conformance.runner import SHAPE, Runner, run_device
+from ecatspec.conformance.runner import Runner, run_device
 from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.verdict import Outcome, Verdict
 from ecatspec.generators.case import NO_LIMITS, Case
@@ -128,7 +129,7 @@ class Told:
 def test_what_steps_told_is_known_afterwards() -> None:
     adapter = make(SMALL, {})
     one = Runner(Model(load(SMALL)), adapter, adapter.describe())
-    one.believed = {"b": "x"}
+    one.known.believed = {"b": "x"}
     verdict = Verdict("one", Outcome.FAIL, "one", signature="s")
     learned = Learned({"a": "y"}, ("u",), ("for it",), ("al.to_init",))
     one.crew = Told(
@@ -136,17 +137,17 @@ def test_what_steps_told_is_known_afterwards() -> None:
     )
     one.run([CASE, CASE], None, 2)
     assert one.verdicts == [verdict, verdict]
-    assert one.knowledge() == Knowledge({**SHAPE, "a": "y"}, {"b": "x"}, frozenset({"s"}))
-    assert (one.untold, one.refusals) == ({"u"}, {"for it": "one"})
-    assert set(map(str, one.rules)) == {"al.to_init"}
-    assert not one.moved
+    assert one.known.snapshot() == Knowledge({**SHAPE, "a": "y"}, {"b": "x"}, frozenset({"s"}))
+    assert (one.known.untold, one.known.refusals) == ({"u"}, {"for it": "one"})
+    assert set(map(str, one.known.rules)) == {"al.to_init"}
+    assert not one.known.moved
     one.crew = Told(
         Judged("one", verdict, Learned(disbelieved=True, moved=True)),
         Judged("one", verdict, Learned()),
     )
     one.run([CASE, CASE], None, 2)
-    assert one.believed == {}
-    assert one.moved
+    assert one.known.believed == {}
+    assert one.known.moved
 
 
 # --- crews ----------------------------------------------------------------------------------------

@@ -72,7 +72,7 @@ def runner(device: str, protocol: Protocol) -> Runner:
 
 @cache
 def sound(device: str, name: str) -> Outcome:
-    return runner(device, load_device(device)).judge(cases(device)[name]).outcome
+    return runner(device, load_device(device)).executor.judge(cases(device)[name]).outcome
 
 
 def test_of_the_claims_that_were_drawn_all_but_few_are_found() -> None:
@@ -96,12 +96,12 @@ def test_a_violation_is_found(violation: Violation) -> None:
     case = cases(violation.device)[violation.case]
     assert sound(violation.device, violation.case) not in FOUND
     wrong = runner(violation.device, protocol)
-    outcome = wrong.judge(case).outcome
+    outcome = wrong.executor.judge(case).outcome
     if outcome is Outcome.INCONCLUSIVE:  # it never comes to the state: the run shows nothing
         needing = [each for each in cases(violation.device).values() if each.needs == case.needs]
         wrong.needed = {str(case.needs)}
         for each in sorted(needing, key=lambda each: len(each.stimuli))[:WAYS]:
-            wrong.judge(each)
+            wrong.executor.judge(each)
         assert wrong.unreached()
     else:
         assert outcome in FOUND

@@ -35,7 +35,7 @@ def adapter() -> Adapter:
 
 
 def outcome(model: Model, adapter: Adapter, case: Case) -> tuple[Outcome, tuple[str, ...]]:
-    verdict = Runner(model, adapter, adapter.describe()).judge(case)
+    verdict = Runner(model, adapter, adapter.describe()).executor.judge(case)
     return verdict.outcome, verdict.clauses
 
 

@@ -134,7 +134,7 @@ def test_the_virtual_drive_passes_and_makes_all_transitions(
     told = description(protocol)
     run = Runner(Model(protocol), VirtualAdapter(VirtualSubDevice(protocol), told), told)
     for each in cases(device)[::3]:
-        verdict = run.judge(each)
+        verdict = run.executor.judge(each)
         assert verdict.outcome is Outcome.PASS, (each.name, verdict)
     assert set(TRANSITIONS[device]) <= made
 
@@ -189,7 +189,7 @@ def unpinned() -> Model:
 
 def blamed(device: VirtualSubDevice, tried: Iterable[Case]) -> list[str]:
     run = resumed(unpinned(), VirtualAdapter(device, description(REFERENCE)))
-    verdicts = [run.judge(each) for each in tried]
+    verdicts = [run.executor.judge(each) for each in tried]
     return [f"{v.case}: {v.observed} {v.clauses}" for v in verdicts if v.outcome in BLAMING]
 
 
@@ -256,15 +256,17 @@ def test_what_befalls_a_drive_by_itself_is_not_its_fault() -> None:
             return value if isinstance(value, int) else -1
 
     way = [word(name) for name in ("shutdown", "switch_on", "enable_operation", "enable_operation")]
-    verdict = runner(Unlucky(REFERENCE), events=()).judge(case(*way, Wait(100_000)))
+    verdict = runner(Unlucky(REFERENCE), events=()).executor.judge(case(*way, Wait(100_000)))
     assert verdict.outcome is Outcome.INCONCLUSIVE
     assert "ds402.fault" in verdict.reason
-    verdict = runner(Unlucky(REFERENCE), events=EVENTS).judge(case(*way, Wait(100_000)))
+    verdict = runner(Unlucky(REFERENCE), events=EVENTS).executor.judge(case(*way, Wait(100_000)))
     assert verdict.outcome is Outcome.FAIL
 
 
 def test_what_an_adapter_cannot_raise_is_skipped_with_the_reason() -> None:
-    verdict = runner(VirtualSubDevice(REFERENCE), events=()).judge(case(Happen("ds402.fault")))
+    verdict = runner(VirtualSubDevice(REFERENCE), events=()).executor.judge(
+        case(Happen("ds402.fault"))
+    )
     assert verdict.outcome is Outcome.SKIPPED
     assert "cannot raise ds402.fault" in verdict.reason
     adapter = VirtualAdapter(VirtualSubDevice(REFERENCE), description(REFERENCE, events=()))
@@ -278,9 +280,9 @@ def test_what_an_adapter_cannot_raise_is_skipped_with_the_reason() -> None:
 def refused(settings: SetUpProcessData) -> list[str]:
     safeop = request(MODEL.row("al_state", "SAFEOP"))
     run = runner(VirtualSubDevice(REFERENCE))
-    verdict = run.judge(case(settings, safeop, state="PREOP"))
+    verdict = run.executor.judge(case(settings, safeop, state="PREOP"))
     assert verdict.outcome is Outcome.PASS
-    return [line.what for line in run.session.trace if line.who == "reason"]
+    return [line.what for line in run.executor.session.trace if line.who == "reason"]
 
 
 def test_a_refusal_is_explained_with_its_values() -> None:
@@ -353,25 +355,25 @@ def test_a_drive_is_enabled_through_logical_addresses() -> None:
 
 def test_the_watchdog_takes_op_away_only_in_its_time() -> None:
     run = runner(VirtualSubDevice(REFERENCE))
-    assert run.judge(case(StopOutputs(), Wait(1_700_000))).outcome is Outcome.PASS
-    assert run.session.oracle.known.al_states() == {"OP"}
-    assert run.judge(case(StopOutputs(), Wait(2_500_000))).outcome is Outcome.PASS
-    assert run.session.oracle.known.al_states() == {"SAFEOP"}
+    assert run.executor.judge(case(StopOutputs(), Wait(1_700_000))).outcome is Outcome.PASS
+    assert run.executor.session.oracle.known.al_states() == {"OP"}
+    assert run.executor.judge(case(StopOutputs(), Wait(2_500_000))).outcome is Outcome.PASS
+    assert run.executor.session.oracle.known.al_states() == {"SAFEOP"}
 
 
 def test_what_follows_a_hurry_is_looked_at_once() -> None:
     up = tuple(word(name) for name in ("shutdown", "switch_on", "enable_operation"))
     run = runner(VirtualSubDevice(REFERENCE))
     for hurry, stopping in (((), False), ((Hurry(),), True)):
-        assert run.judge(case(*up, *hurry, word("quick_stop"))).outcome is Outcome.PASS
-        assert run.session.oracle.known.may_be("ds402", "QUICK_STOP_ACTIVE") is stopping
+        assert run.executor.judge(case(*up, *hurry, word("quick_stop"))).outcome is Outcome.PASS
+        assert run.executor.session.oracle.known.may_be("ds402", "QUICK_STOP_ACTIVE") is stopping
 
 
 def test_a_write_of_the_assignment_is_learned_and_forgotten() -> None:
     run = runner(VirtualSubDevice(REFERENCE))
     clear = download(0x1C12, 0, b"\0")
-    assert run.judge(case(clear, upload(0x1C12, 0), state="PREOP")).outcome is Outcome.PASS
-    assert run.judge(case(state="OP")).outcome is Outcome.PASS
+    assert run.executor.judge(case(clear, upload(0x1C12, 0), state="PREOP")).outcome is Outcome.PASS
+    assert run.executor.judge(case(state="OP")).outcome is Outcome.PASS
 
 
 def test_where_time_is_real_exchanges_take_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -393,10 +395,10 @@ def test_where_time_is_real_exchanges_take_time(monkeypatch: pytest.MonkeyPatch)
     told = replace(description(REFERENCE), virtual_time=False)
     run = Runner(Model(REFERENCE), Slow(device, told), told)
     uploads = [upload(0x1000, 0)] * 20
-    verdict = run.judge(case(StopOutputs(), *uploads))
+    verdict = run.executor.judge(case(StopOutputs(), *uploads))
     assert verdict.outcome is Outcome.PASS, verdict
-    assert run.session.oracle.known.al_states() == {"SAFEOP"}
-    assert run.session.time >= 2_000_000
+    assert run.executor.session.oracle.known.al_states() == {"SAFEOP"}
+    assert run.executor.session.time >= 2_000_000
 
 
 def test_a_mode_by_sdo_is_open_while_process_data_bring_one() -> None:
@@ -409,7 +411,7 @@ def test_a_mode_by_sdo_is_open_while_process_data_bring_one() -> None:
     cyclic = WriteOutputs({"chosen_mode": 3})
     chosen = (cyclic, upload(0x6061, 0), download(0x6060, 0, b"\x08"), upload(0x6061, 0))
     for judge, device in ((REFERENCE, REFERENCE), (REFERENCE, taking_modes())):
-        verdict = runner(VirtualSubDevice(device), judge).judge(
+        verdict = runner(VirtualSubDevice(device), judge).executor.judge(
             case(*assign, *up, *chosen, state="PREOP")
         )
         assert verdict.outcome is Outcome.PASS, verdict

@@ -16,7 +16,8 @@ from ecatspec.conformance import session as session_module
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner, shape_of
+from ecatspec.conformance.dut_knowledge import shape_of
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.session import (
     TOO_MUCH,
     InconclusiveError,
@@ -130,7 +131,7 @@ def virtual(protocol: Protocol, device: VirtualSubDevice | None = None) -> Virtu
 
 
 def judged(protocol: Protocol, adapter: Adapter, case: Case) -> Verdict:
-    return Runner(Model(protocol), adapter, adapter.describe()).judge(case)
+    return Runner(Model(protocol), adapter, adapter.describe()).executor.judge(case)
 
 
 def in_preop(model: Model, *stimuli: Stimulus, layer: str = "sdo") -> Case:
@@ -327,7 +328,7 @@ def test_an_upload_without_end_is_no_verdict(monkeypatch: pytest.MonkeyPatch) ->
     sound = load_device("standard")
     adapter = Growing(sound)
     runner = Runner(Model(sound), adapter, replace(adapter.describe(), closed_dictionary=False))
-    verdict = runner.judge(in_preop(runner.model, upload(0x2FFF, 0), SendSegments()))
+    verdict = runner.executor.judge(in_preop(runner.model, upload(0x2FFF, 0), SendSegments()))
     assert verdict.outcome is Outcome.INCONCLUSIVE
     assert verdict.reason == "the upload does not end after 200 segments"
 
@@ -465,9 +466,9 @@ def test_each_case_ends_on_a_device_that_answers_at_random(
     case = walk(model, NO_LIMITS, frozenset(), number, 30) if walks else cases[number % len(cases)]
     adapter = Wayward(protocol, seed, habits)
     runner = Runner(model, adapter, adapter.describe())
-    runner.judge(case)
-    assert len(runner.session.oracle.candidates) <= 4 * serving.LIMIT
-    assert len(runner.session.trace) <= MOST
+    runner.executor.judge(case)
+    assert len(runner.executor.session.oracle.candidates) <= 4 * serving.LIMIT
+    assert len(runner.executor.session.trace) <= MOST
 
 
 def test_a_session_that_is_given_stimuli_says_that_it_is_inconclusive() -> None:

@@ -229,9 +229,9 @@ def test_a_lost_frame_makes_a_case_inconclusive(loop: Loop) -> None:
     model = Model(load(DEVICE))
     runner = Runner(model, adapter, adapter.describe())
     case = next(c for c in all_cases(model, NO_LIMITS) if c.name == "sdo/upload/1018_00")
-    assert runner.judge(case).outcome is Outcome.PASS
+    assert runner.executor.judge(case).outcome is Outcome.PASS
     loop.lossy = True
-    assert runner.judge(case).outcome is Outcome.INCONCLUSIVE
+    assert runner.executor.judge(case).outcome is Outcome.INCONCLUSIVE
 
 
 def test_whoever_does_not_answer_any_more_is_gone(loop: Loop) -> None:

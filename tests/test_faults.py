@@ -12,8 +12,9 @@ from grounds import DEPTH, GROUNDS, LIKELY, REFERENCE, Ground, apart, ground_of,
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.devices import going
+from ecatspec.conformance.dut_knowledge import SHAPE
 from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.vectors.export import Export, Wanted
 from ecatspec.conformance.vectors.replay import Player
 from ecatspec.conformance.verdict import BLAMING, FOUND
@@ -183,8 +184,8 @@ def test_what_the_texts_leave_open_is_no_mistake() -> None:
     adapter = VirtualAdapter(VirtualSubDevice(protocol), described(protocol))
     runner = Runner(Model(sound), adapter, adapter.describe())
     cases = [c for c in all_cases(runner.model, NO_LIMITS, "default") if c.layer == "al"]
-    assert sum(runner.judge(case).outcome in BLAMING for case in cases) == 0
-    assert RuleName("al", "mailbox_moved") in runner.rules
+    assert sum(runner.executor.judge(case).outcome in BLAMING for case in cases) == 0
+    assert RuleName("al", "mailbox_moved") in runner.known.rules
 
 
 @cache
@@ -224,7 +225,7 @@ def test_a_run_and_its_vectors_find_the_fault(name: str) -> None:
     assert cases[0].name.startswith(LIKELY.get(name, "")), "take it from the list"
     first = True
     for case in cases:
-        verdict = runner.judge(case)
+        verdict = runner.executor.judge(case)
         near.appendleft(case)
         if verdict.outcome in FOUND and first:
             first = False

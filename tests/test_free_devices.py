@@ -85,7 +85,7 @@ def test_a_device_that_takes_too_long_is_blamed() -> None:
     runner = Runner(Model(sound), adapter, adapter.describe())
     named = "mailbox/upload_in_INIT_after_OP"
     (case,) = (c for c in all_cases(runner.model, NO_LIMITS, "quick") if c.name == named)
-    verdict = runner.judge(case)
+    verdict = runner.executor.judge(case)
     assert verdict.outcome is Outcome.FAIL
     assert "AL-15" in verdict.clauses
 
@@ -118,7 +118,7 @@ def test_what_no_text_declares_holds_certain_numbers(told: int, outcome: Outcome
     runner = Runner(
         Model(sound), VirtualAdapter(VirtualSubDevice(protocol), description), description
     )
-    verdict = runner.judge(case_in(runner.model, "sdo/kind", "", [upload(0x1C00, 1)]))
+    verdict = runner.executor.judge(case_in(runner.model, "sdo/kind", "", [upload(0x1C00, 1)]))
     assert verdict.outcome is outcome
     assert told < 2 or "PD-32" in verdict.clauses
 

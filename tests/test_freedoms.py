@@ -84,8 +84,10 @@ def free_device(ground: Ground, freedom: Fault) -> VirtualAdapter:
 
 def shown(runner: Runner, case: Case) -> list[tuple[str, bytes]]:
     """Give what the device showed when a case was judged."""
-    runner.judge(case)
-    return [(line.what, line.data) for line in runner.session.trace if line.who == SUB_DEVICE]
+    runner.executor.judge(case)
+    return [
+        (line.what, line.data) for line in runner.executor.session.trace if line.who == SUB_DEVICE
+    ]
 
 
 @pytest.mark.parametrize(
@@ -99,7 +101,7 @@ def test_a_device_that_goes_a_free_way_is_not_blamed(name: str) -> None:
     sound, free = made.runner({}), resumed(made.model, free_device(made.ground, freedom))
     own = [OWN[name](made.model)] if name in OWN else []
     cases = [*own, *made.ordered(freedom)[:ENOUGH]]
-    blamed = [v for v in map(free.judge, cases) if v.outcome in FOUND]
+    blamed = [v for v in map(free.executor.judge, cases) if v.outcome in FOUND]
     assert not [f"{v.case}: {v.observed}, expected {v.expected}" for v in blamed]
     seen = any(shown(sound, case) != shown(free, case) for case in cases)
     assert seen is (name not in UNSEEN), "take it from the list" if seen else "it never shows"

@@ -13,7 +13,8 @@ from resumed import Resumed, Seen, resumed
 from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.dut_knowledge import SHAPE
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.bringup import has_process_data
 from ecatspec.generators.case import (
@@ -337,7 +338,7 @@ def test_the_transition_cover_fires_every_rule_of_al(device: str) -> None:
     for cover in (transition_cover, process_cover):
         runner.run(cover(model, NO_LIMITS), None, 0)
     assert {verdict.outcome for verdict in runner.verdicts} == {Outcome.PASS}
-    fired = {rule.name for rule in runner.rules if rule.machine == "al"}
+    fired = {rule.name for rule in runner.known.rules if rule.machine == "al"}
     rules = {rule.name for rule in model.protocol.machines["al"].rules}
     without = set() if has_process_data(model) else WITHOUT_PROCESS_DATA
     assert rules - fired == (set(NOT_FIRED) & rules) | OTHER_WAY[device] | without
@@ -483,14 +484,14 @@ class Sweep:
             if takes_none and case.name.startswith("sdo/takes"):
                 continue  # it is blamed there, and rightly
             self.inside.rules.clear()
-            runner.rules = set()
-            verdict = runner.judge(case)
-            assert isinstance(runner.session, Resumed)
-            runner.session.arrive()
+            runner.known.rules = set()
+            verdict = runner.executor.judge(case)
+            assert isinstance(runner.executor.session, Resumed)
+            runner.executor.session.arrive()
             if verdict.outcome not in {Outcome.PASS, Outcome.INCONCLUSIVE}:
                 self.fired.blamed.append(f"{way} {case.name}: {verdict.outcome} {verdict.reason}")
             self.fired.inside |= self.inside.rules
-            self.fired.certain |= set(map(str, runner.rules))
+            self.fired.certain |= set(map(str, runner.known.rules))
             for rule in self.inside.rules:
                 self.kinds[rule]["/".join(case.name.split("/")[:2]), case.flag].append(case)
 

@@ -29,7 +29,6 @@ OUTSIDE_WORLD = {"asyncio", "secrets", "select", "signal", "socket", "subprocess
 MOST_MEMBERS = 25
 MEMBERS_OF_ORACLE = 20
 LARGE_CLASSES: dict[str, str] = {
-    "ecatspec.conformance.runner.Runner": "a run as a whole",
     "ecatspec.generators.complete.chain._Chain": "the search keeps its work beside what it found",
     "ecatspec.model.compiled.Model": "all that is worked out of a text before it runs",
     "ecatspec.model.wire.WireFormat": "one member for each part of a frame",

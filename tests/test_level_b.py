@@ -143,6 +143,6 @@ def test_a_slip_of_the_application_is_found(right: str, wrong: str, tmp_path: Pa
     try:
         runner = Runner(Model(load(DEVICE)), adapter, adapter.describe())
         cases = (c for c in all_cases(runner.model, NO_LIMITS, "quick") if c.layer == "sdo")
-        assert any(runner.judge(case).outcome in BLAMING for case in cases)
+        assert any(runner.executor.judge(case).outcome in BLAMING for case in cases)
     finally:
         adapter.close()

@@ -221,7 +221,7 @@ def test_a_device_as_built_answers_as_the_device() -> None:
     built = adapter_of(as_built(protocol))
     asked: Counter[str] = Counter()
     for case in few(model, NO_LIMITS, "quick"):
-        assert runner.judge(case).outcome is Outcome.PASS
+        assert runner.executor.judge(case).outcome is Outcome.PASS
         asked[case.layer] += 1
         built.reset()
         for name, arguments, answer in recorder.log:
@@ -569,7 +569,7 @@ def test_the_shortcuts_change_nothing(small: Callable[..., Analysis]) -> None:
     for each in found.fated:
         adapter = adapter_of(each.mutant.protocol)
         runner = Runner(Model(device), adapter, adapter.describe())
-        blamed = next((c.name for c in cases if runner.judge(c).outcome in BLAMING), "")
+        blamed = next((c.name for c in cases if runner.executor.judge(c).outcome in BLAMING), "")
         assert bool(blamed) is (each.fate is Fate.KILLED), f"{each.mutant}: {blamed or each.case}"
     assert {each.fate for each in found.fated} == set(Fate)
 
@@ -975,7 +975,7 @@ def test_a_mistake_is_found_by_the_cases_for_it(where: str) -> None:
     for protocol in (built_of(device), wrong_in(device, mistake).protocol):
         adapter = adapter_of(protocol)
         runner = Runner(model, adapter, adapter.describe())
-        blamed.append([c.name for c in cases if runner.judge(c).outcome in BLAMING])
+        blamed.append([c.name for c in cases if runner.executor.judge(c).outcome in BLAMING])
     assert cases
     assert not blamed[0]
     assert blamed[1]

@@ -963,7 +963,7 @@ def walked(device: VirtualSubDevice, stimuli: Sequence[Stimulus]) -> str:
     """Run from power-on, with objects that were read before; give what it was blamed for."""
     adapter = Faulty(device)
     runner = Runner(judge_of(device.model.protocol), adapter, adapter.describe())
-    verdict = runner.judge(Case("walk", "a walk", "al", tuple(stimuli)))
+    verdict = runner.executor.judge(Case("walk", "a walk", "al", tuple(stimuli)))
     return "" if verdict.outcome is Outcome.PASS else f"{verdict.reason}: {verdict.observed}"
 
 
@@ -1088,7 +1088,7 @@ MANY_WAYS = (
 def test_an_input_that_may_never_have_come_holds_nothing_up() -> None:
     adapter = make("kollmorgen-akd", {})
     runner = Runner(Model(load_device("kollmorgen-akd")), adapter, adapter.describe())
-    assert runner.judge(case_of(MANY_WAYS)).outcome is Outcome.PASS
+    assert runner.executor.judge(case_of(MANY_WAYS)).outcome is Outcome.PASS
 
 
 class Thorough(Oracle):

@@ -23,9 +23,11 @@ from ecatspec.conformance import pytest_plugin
 from ecatspec.conformance.adapter import AdapterError, Unheard
 from ecatspec.conformance.adapters import model, open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.case_executor import CaseExecutor
 from ecatspec.conformance.devices import going, load
+from ecatspec.conformance.dut_knowledge import SHAPE
 from ecatspec.conformance.pytest_plugin import bench
-from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.verdict import Outcome
 from ecatspec.generators.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
@@ -249,12 +251,12 @@ def test_trouble_of_an_adapter_is_an_error_and_no_failure(
 def test_a_should_is_a_warning_that_can_be_made_a_failure(
     desk: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    judge = Runner.judge
+    judge = CaseExecutor.judge
 
-    def mild(runner: Runner, case: Case) -> Verdict:
+    def mild(runner: CaseExecutor, case: Case) -> Verdict:
         return replace(judge(runner, case), outcome=Outcome.WARNING)
 
-    monkeypatch.setattr(Runner, "judge", mild)
+    monkeypatch.setattr(CaseExecutor, "judge", mild)
     fault = ("--ecat-dut", "model:fault=toggle_ignored", "-k", "wrong_second_toggle")
     found = run(desk, *fault, "-W", "default")
     assert outcomes(found) == {"passed": 1}
@@ -517,4 +519,4 @@ def test_no_order_and_no_choice_of_cases_blames_a_right_device(
         alone.run((case,), None, 0)
         runner.verdicts += alone.verdicts
     assert {verdict.outcome for verdict in runner.verdicts} == {Outcome.PASS}
-    assert runner.choices.items() <= (ways | SHAPE).items()
+    assert runner.known.choices.items() <= (ways | SHAPE).items()

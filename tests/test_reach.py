@@ -10,7 +10,8 @@ from grounds import GROUNDS, REFERENCE, Ground, apart, suite
 
 from ecatspec.conformance.coverage import extent_of
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import run_device, shape_of
+from ecatspec.conformance.dut_knowledge import shape_of
+from ecatspec.conformance.runner import run_device
 from ecatspec.model.compiled import Model, rows_of
 from ecatspec.model.reach import clauses_beyond, rules_beyond
 from ecatspec.model.state import RuleName

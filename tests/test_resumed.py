@@ -32,10 +32,15 @@ def model() -> Model:
 
 
 def judged(runner: Runner, case: Case) -> tuple[Verdict, object]:
-    runner.rules = set()
-    verdict = runner.judge(case)
-    learned = runner.choices, runner.untold, runner.refusals, runner.configured
-    return verdict, (frozenset(runner.rules), *map(repr, learned))
+    runner.known.rules = set()
+    verdict = runner.executor.judge(case)
+    learned = (
+        runner.known.choices,
+        runner.known.untold,
+        runner.known.refusals,
+        runner.executor.configured,
+    )
+    return verdict, (frozenset(runner.known.rules), *map(repr, learned))
 
 
 @pytest.mark.parametrize("fault", ["", "toggle_ignored"])
@@ -70,10 +75,10 @@ def test_what_is_common_is_done_once(model: Model, monkeypatch: pytest.MonkeyPat
     longer = replace(short, stimuli=(*way, upload(0x1018, 1)))
     other = replace(short, stimuli=(*way, upload(0x1018, 2)))
     for case in (longer, longer, other):
-        runner.judge(case)  # it shows which way it goes, which is known from then on
+        runner.executor.judge(case)  # it shows which way it goes, which is known from then on
     needed = []
     for case in (longer, longer, short, other):
         given.clear()
-        assert runner.judge(case).outcome is Outcome.PASS
+        assert runner.executor.judge(case).outcome is Outcome.PASS
         needed.append(len(given))
     assert needed == [1, 0, 0, 1]

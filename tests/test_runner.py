@@ -18,7 +18,9 @@ from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
+from ecatspec.conformance.case_executor import limits_of
 from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.dut_knowledge import SHAPE, shape_of
 from ecatspec.conformance.runner import Runner, run_device
 from ecatspec.conformance.session import Deviation
 from ecatspec.conformance.verdict import BLAMING, Outcome, Verdict
@@ -85,7 +87,7 @@ class Wrapped:
 
 
 def verdict_of(adapter: Adapter, one: Case) -> Verdict:
-    return Runner(Model(load_device(DEVICE)), adapter, adapter.describe()).judge(one)
+    return Runner(Model(load_device(DEVICE)), adapter, adapter.describe()).executor.judge(one)
 
 
 ALL = frozenset({"al", "mailbox", "sdo"})
@@ -327,7 +329,7 @@ def completed(
 ) -> tuple[Runner, list[str]]:
     adapter = Wrapped(protocols)
     runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
-    runner.choices["refused_in_op"] = "stay"
+    runner.known.choices["refused_in_op"] = "stay"
     monkeypatch.setattr(runner_module, "complete_suites", lambda *_: [suite])
     return runner, runner.complete("default", None)
 
@@ -372,31 +374,31 @@ def test_what_a_suite_believes_of_a_device_blames_nobody(
     runner = Runner(MODEL, VirtualAdapter(device, described(texts)), described(texts))
     safeop, op = way_to(MODEL, "SAFEOP"), request(MODEL.row("al_state", "OP"))
     one = Case("one", "one", "al", (*safeop, op), None, 0)
-    runner.untold.add(pin.choice)
+    runner.known.untold.add(pin.choice)
     suite = Promised((one,), "al", {pin.choice: "refused"})
     monkeypatch.setattr(runner_module, "complete_suites", lambda *_: [suite])
     assert runner.complete("default", None) == [words]
     (verdict,) = runner.verdicts
     assert verdict.outcome is Outcome.PASS
     # that a refusal was one for want of outputs is believed, not known
-    assert RuleName("al", "safeop_to_op_refused") not in runner.rules
-    assert RuleName("al", "preop_to_safeop") in runner.rules
-    assert (RuleName("al", "safeop_to_op") in runner.rules) == (way == "accepted")
+    assert RuleName("al", "safeop_to_op_refused") not in runner.known.rules
+    assert RuleName("al", "preop_to_safeop") in runner.known.rules
+    assert (RuleName("al", "safeop_to_op") in runner.known.rules) == (way == "accepted")
 
 
 def test_what_is_not_conclusive_under_belief_is_judged_without_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     runner = Runner(MODEL, make(DEVICE, {}), make(DEVICE, {}).describe())
-    runner.untold.add("op_without_outputs")
+    runner.known.untold.add("op_without_outputs")
     suite = Promised((case("one"),), assumed={"op_without_outputs": "refused"})
     monkeypatch.setattr(runner_module, "complete_suites", lambda *_: [suite])
 
     def judged(one: Case) -> Verdict:
-        outcome = Outcome.INCONCLUSIVE if runner.believed else Outcome.PASS
+        outcome = Outcome.INCONCLUSIVE if runner.known.believed else Outcome.PASS
         return Verdict(one.name, outcome, one.title)
 
-    monkeypatch.setattr(runner, "_judge", judged)
+    monkeypatch.setattr(runner.executor, "_judge", judged)
     (told,) = runner.complete("default", None)
     assert [verdict.outcome for verdict in runner.verdicts] == [Outcome.PASS]
     assert told.endswith("goes another way at op_without_outputs")
@@ -410,19 +412,19 @@ def test_in_virtual_time_looks_are_where_something_must_have_happened() -> None:
         case for case in all_cases(runner.model, NO_LIMITS, "quick") if case.name == "ds402/fault"
     )
     *before, fault = case.stimuli
-    runner.session.begin(runner_module.SHAPE, runner.configuration())
+    runner.executor.session.begin(SHAPE, runner.executor.configuration())
     for stimulus in before:
-        runner.session.apply(stimulus)
-    began, exchanges = runner.session.time, runner.session.exchanges
-    runner.session.apply(request(op))  # nothing shows that it was taken
-    assert runner.session.time - began == 200_001
+        runner.executor.session.apply(stimulus)
+    began, exchanges = runner.executor.session.time, runner.executor.session.exchanges
+    runner.executor.session.apply(request(op))  # nothing shows that it was taken
+    assert runner.executor.session.time - began == 200_001
     # the request; three looks of three reads, at once, soon and at the deadline; outputs between
-    assert runner.session.exchanges - exchanges == 1 + 3 * 3 + 2
-    began = runner.session.time
+    assert runner.executor.session.exchanges - exchanges == 1 + 3 * 3 + 2
+    began = runner.executor.session.time
     with pytest.raises(Deviation) as found:
-        runner.session.apply(fault)
+        runner.executor.session.apply(fault)
     # long before the reaction to the fault must have ended
-    assert runner.session.time - began < 10_000_000
+    assert runner.executor.session.time - began < 10_000_000
     assert "DRV-16" in found.value.mismatch.clauses
 
 
@@ -453,9 +455,9 @@ def test_a_choice_that_nothing_tells_is_kept_in_mind() -> None:
     adapter = make(DEVICE, {})
     runner = Runner(MODEL, adapter, adapter.describe())
     safeop, op = way_to(MODEL, "SAFEOP"), request(MODEL.row("al_state", "OP"))
-    runner.judge(Case("one", "one", "al", (*safeop, op), None, 0))
-    assert "op_without_outputs" in runner.untold
-    assert "op_without_outputs" not in runner.choices
+    runner.executor.judge(Case("one", "one", "al", (*safeop, op), None, 0))
+    assert "op_without_outputs" in runner.known.untold
+    assert "op_without_outputs" not in runner.known.choices
 
 
 def test_a_suite_of_a_layer_that_is_not_the_devices_is_left_out(
@@ -476,12 +478,12 @@ def test_a_suite_is_asked_for_with_what_the_device_showed(monkeypatch: pytest.Mo
     adapter = make(DEVICE, {})
     description = replace(adapter.describe(), locals=frozenset({"ds402.fault"}))
     runner = Runner(Model(load_device(DEVICE)), adapter, description)
-    runner.choices |= {"refused_in_op": "stay", "not of these texts": "x"}
+    runner.known.choices |= {"refused_in_op": "stay", "not of these texts": "x"}
     assert runner.complete("exhaustive", None) == []
     ((model, limits, events, ways, depth),) = asked
-    assert (model, limits) == (runner.model, runner_module.limits_of(description))
+    assert (model, limits) == (runner.model, limits_of(description))
     assert (events, depth) == ({"ds402.fault"}, "exhaustive")
-    assert ways == {**runner_module.shape_of(MODEL.protocol), "refused_in_op": "stay"}
+    assert ways == {**shape_of(MODEL.protocol), "refused_in_op": "stay"}
 
 
 def test_a_long_run_shortens_each_cause_once() -> None:

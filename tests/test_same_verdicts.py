@@ -67,7 +67,7 @@ def verdicts(dut: str, chosen: Iterable[Case]) -> Iterator[Verdict]:
     adapter = open_adapter(dut, TEXT)
     try:
         runner = Runner(model(), adapter, adapter.describe())
-        yield from map(runner.judge, chosen)
+        yield from map(runner.executor.judge, chosen)
     finally:
         adapter.close()
 
@@ -130,7 +130,7 @@ def test_a_look_is_one_exchange_where_the_device_takes_several_reads(folder: Pat
         adapter = Listening(open_adapter(f"lib:{folder}/libslave.so", TEXT), batch=batch)
         runner = Runner(model(), cast("Adapter", adapter), adapter.describe())
         for case in cases()[:40]:
-            assert runner.judge(case).outcome not in BLAMING
+            assert runner.executor.judge(case).outcome not in BLAMING
         adapter.close()
         asked[batch] = adapter.asked
     assert "reads" not in asked[False]

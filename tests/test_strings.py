@@ -50,7 +50,7 @@ def outcome(expected: str, actual: str) -> tuple[Outcome, tuple[str, ...]]:
     device, model = marked(actual), Model(marked(expected))
     adapter = VirtualAdapter(VirtualSubDevice(device), described(device))
     short = download(*KEY, b"xy"), upload(*KEY)
-    verdict = Runner(model, adapter, adapter.describe()).judge(
+    verdict = Runner(model, adapter, adapter.describe()).executor.judge(
         case_in(model, "sdo/own", "a short string", short)
     )
     return verdict.outcome, verdict.clauses

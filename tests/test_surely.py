@@ -10,10 +10,12 @@ import pytest
 
 from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.case_executor import CaseExecutor
 from ecatspec.conformance.cli import main
 from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.dut_knowledge import ways_of
 from ecatspec.conformance.marks import interruption
-from ecatspec.conformance.runner import Runner, run_device, ways_of
+from ecatspec.conformance.runner import Runner, run_device
 from ecatspec.conformance.verdict import Outcome, SetUp
 from ecatspec.generators.bringup import way_to
 from ecatspec.generators.case import NO_LIMITS, Case, Probe
@@ -86,7 +88,7 @@ def test_a_finding_names_the_ways_without_which_it_is_none() -> None:
     judge.run([case("counted"), case("zero")], None, 2)
     first, second = judge.verdicts
     assert first.outcome is Outcome.PASS
-    assert judge.choices["reply_counter"] == "counts"
+    assert judge.known.choices["reply_counter"] == "counts"
     assert (second.outcome, second.differing) == (Outcome.FAIL, ("counter",))
     assert second.depends == (COUNTED,)
 
@@ -106,17 +108,17 @@ def test_a_finding_that_is_one_in_any_case_depends_on_nothing() -> None:
     adapter = make(DEVICE, {})
     judge = Runner(Model(load(DEVICE)), adapter, adapter.describe())
     judge.run([case("counted")], None, 1)
-    before = dict(judge.choices)
+    before = dict(judge.known.choices)
     assert before["reply_counter"] == "counts"
     faulty = make(DEVICE, {"fault": "toggle_ignored"})
     other = Runner(Model(load(DEVICE)), faulty, faulty.describe())
-    other.choices |= before
+    other.known.choices |= before
     cases = [c for c in all_cases(other.model, NO_LIMITS, "quick") if "toggle" in c.name]
     other.run(cases, None, len(cases))
     found = [v for v in other.verdicts if v.outcome is Outcome.FAIL]
     assert found
     assert not any(verdict.depends for verdict in found)
-    assert other.choices.items() >= before.items()
+    assert other.known.choices.items() >= before.items()
 
 
 def test_the_command_of_a_finding_gives_its_ways() -> None:
@@ -175,14 +177,14 @@ def test_an_interrupted_run_says_how_far_it_came(
     result = run_device(DEVICE, "model", depth="quick", progress=progress)
     assert interruption(result) == "interrupted after 3 of 5 cases; --resume goes on"
 
-    judge = Runner.judge
+    judge = CaseExecutor.judge
 
-    def stopped(self: Runner, one: Case) -> Verdict:
+    def stopped(self: CaseExecutor, one: Case) -> Verdict:
         if one.name == "c":
             raise KeyboardInterrupt
         return judge(self, one)
 
-    monkeypatch.setattr(Runner, "judge", stopped)
+    monkeypatch.setattr(CaseExecutor, "judge", stopped)
     assert main(["run", DEVICE, "--depth", "quick", "--json"]) == 130
     (data,) = json.loads(capsys.readouterr().out)["results"]
     assert data["interrupted"]
@@ -219,7 +221,7 @@ def test_what_shows_once_is_a_warning() -> None:
     once = Device(counted=0, power_cycles=False)
     judge = runner(once, COUNTED)
     read = once.read
-    judge.session.adapter = once
+    judge.executor.session.adapter = once
 
     def only_first(address: int, length: int) -> tuple[int, bytes]:
         return read(address, length) if once.left == -1 else once.device.read(address, length)

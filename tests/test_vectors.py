@@ -21,8 +21,9 @@ from c_device import SOURCES, TEXT, WHERE, sanitizes
 from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import UserError, going, load
+from ecatspec.conformance.dut_knowledge import SHAPE
 from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.runner import SHAPE, Runner
+from ecatspec.conformance.runner import Runner
 from ecatspec.conformance.vectors import export as exporting
 from ecatspec.conformance.vectors.export import OTHER_WAYS, Wanted, export
 from ecatspec.conformance.vectors.replay import Player
@@ -102,7 +103,7 @@ def test_the_device_of_a_text_gets_the_verdicts_of_a_run(name: str) -> None:
     for case in sampled(model, NO_LIMITS, "quick"):
         verdict = verdicts.pop(case.name)
         assert (verdict.outcome, verdict.reason) == (Outcome.PASS, ""), verdict
-        assert runner.judge(case).outcome is verdict.outcome
+        assert runner.executor.judge(case).outcome is verdict.outcome
     assert all(verdict.outcome is Outcome.PASS for verdict in verdicts.values())
     assert verdicts.keys() <= {CONFIGURATION}
 

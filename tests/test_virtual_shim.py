@@ -31,7 +31,7 @@ def verdicts(dut: str, prefix: str) -> list[Verdict]:
         runner = Runner(model, adapter, adapter.describe())
         cases = list(all_cases(model, NO_LIMITS, "quick"))
         near = [case for case in cases if prefix and case.name.startswith(prefix)]
-        return [runner.judge(case) for case in (*cases[::EACH], *near[:20])]
+        return [runner.executor.judge(case) for case in (*cases[::EACH], *near[:20])]
     finally:
         adapter.close()
 

@@ -18,7 +18,7 @@ from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import SHAPE
+from ecatspec.conformance.dut_knowledge import SHAPE
 from ecatspec.conformance.shrink import shortest
 from ecatspec.conformance.verdict import BLAMING, Outcome
 from ecatspec.generators import dice
@@ -193,31 +193,31 @@ def test_walks_do_without_what_does_not_get_through() -> None:
 def test_no_sound_device_is_blamed_and_walks_get_deep(device: str) -> None:
     runner = runner_of(device)
     for seed in range(WALKS):
-        verdict = runner.judge(walked(device, seed))
+        verdict = runner.executor.judge(walked(device, seed))
         assert verdict.outcome is Outcome.PASS, (seed, verdict.reason, verdict.observed)
-    machines = {rule.machine for rule in runner.rules}
+    machines = {rule.machine for rule in runner.known.rules}
     assert {"al", "mailbox", "sdo", "sdo_information", "process_data"} <= machines
-    assert "al.safeop_to_op" in set(map(str, runner.rules))
-    assert len(runner.rules) >= 40
+    assert "al.safeop_to_op" in set(map(str, runner.known.rules))
+    assert len(runner.known.rules) >= 40
 
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_walks_find_faults(fault: str) -> None:
     device = "reference"
     runner = runner_of(device, fault)
-    found = (runner.judge(walked(device, seed)) for seed in range(120))
+    found = (runner.executor.judge(walked(device, seed)) for seed in range(120))
     verdict = next(v for v in found if v.outcome in BLAMING)
 
     def fails(case: Case) -> bool:
-        runner.choices = dict(SHAPE)
-        again = runner.judge(case)
+        runner.known.choices = dict(SHAPE)
+        again = runner.executor.judge(case)
         return again.outcome in BLAMING and again.signature == verdict.signature
 
     seed = int(verdict.case.removeprefix("walk/").partition("_")[0])
     short = shortest(walked(device, seed), fails)
     assert fails(short)
     assert len(short.stimuli) <= 14
-    assert runner_of(device).judge(short).outcome is Outcome.PASS
+    assert runner_of(device).executor.judge(short).outcome is Outcome.PASS
 
 
 # --- tokens ---------------------------------------------------------------------------------------

@@ -12,8 +12,9 @@ import sys
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.case_executor import limits_of
 from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner, limits_of
+from ecatspec.conformance.runner import Runner
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
 

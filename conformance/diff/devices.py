@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.case_executor import CaseExecutor, limits_of
 from ecatspec.conformance.devices import UserError, load
-from ecatspec.conformance.runner import Runner, limits_of
 from ecatspec.conformance.sheets import Sheet
 from ecatspec.conformance.verdict import Outcome, TraceLine
 from ecatspec.generators.case import Limits
@@ -113,10 +113,10 @@ def compare_devices(device: str, duts: tuple[str, str]) -> Parted:
     try:
         adapters.extend(open_adapter(dut, device) for dut in duts)
         names = (f"{duts[0]} (X)", f"{duts[1]} (Y)") if duts[0] == duts[1] else duts
-        runners = [Runner(Model(protocol), a, a.describe()) for a in adapters]
+        executors = [CaseExecutor(Model(protocol), a, a.describe()) for a in adapters]
         limits = _common([limits_of(adapter.describe()) for adapter in adapters])
         cases = all_cases(Model(protocol), limits, _DEPTH)
-        return _compared(names, protocol.name, (runners[0], runners[1]), cases)
+        return _compared(names, protocol.name, (executors[0], executors[1]), cases)
     except AdapterError as error:
         raise UserError(str(error)) from None
     finally:
@@ -133,16 +133,19 @@ def _common(both: list[Limits]) -> Limits:
 
 
 def _compared(
-    names: tuple[str, str], device: str, runners: tuple[Runner, Runner], cases: Iterable[Case]
+    names: tuple[str, str],
+    device: str,
+    executors: tuple[CaseExecutor, CaseExecutor],
+    cases: Iterable[Case],
 ) -> Parted:
     found: dict[tuple[str, str, str], Parting] = {}
     alike = left_out = 0
     for case in cases:
-        verdicts = [runner.judge(case) for runner in runners]
+        verdicts = [executor.judge(case) for executor in executors]
         if any(verdict.outcome in {Outcome.SKIPPED, Outcome.ERROR} for verdict in verdicts):
             left_out += 1
             continue
-        parting = _parting(case.name, *(tuple(runner.session.trace) for runner in runners))
+        parting = _parting(case.name, *(tuple(executor.session.trace) for executor in executors))
         if parting is None:
             alike += 1
             continue

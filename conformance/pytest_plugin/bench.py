@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance import known
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
+from ecatspec.conformance.case_executor import limits_of
 from ecatspec.conformance.devices import UserError, going, load, nearest
+from ecatspec.conformance.dut_knowledge import SHAPE
 from ecatspec.conformance.exercise import Exercise
 from ecatspec.conformance.reports.text import explained
-from ecatspec.conformance.runner import EXAMPLES, SHAPE, WALKS, Runner, limits_of
+from ecatspec.conformance.runner import EXAMPLES, WALKS, Runner
 from ecatspec.conformance.verdict import Result
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.compiled import Model
@@ -121,7 +123,7 @@ class Bench:
         """Power cycle the device for somebody who may leave it otherwise than it was."""
         self.adapter.reset()
         yield self.adapter
-        self.runner.configured = None
+        self.runner.executor.configured = None
 
     # --- the suite --------------------------------------------------------------------------------
 
@@ -171,7 +173,7 @@ class Bench:
         runner = Runner(self.model, adapter, adapter.describe())
         # where it is not known which way a device goes, no rule after that is sure
         sure = going(self.model.protocol, SHAPE).pins
-        runner.choices |= {name: pin.alternative for name, pin in sure.items()}
+        runner.known.choices |= {name: pin.alternative for name, pin in sure.items()}
         found = {}
         for case in cases:
             runner.run((case,), None, 0)

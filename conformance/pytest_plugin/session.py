@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.conformance.adapter import AdapterError, DeviceFault
+from ecatspec.conformance.case_executor import limits_of
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
-from ecatspec.conformance.runner import limits_of
 from ecatspec.conformance.session import Deviation, InconclusiveError
 from ecatspec.conformance.verdict import Finding, Outcome
 from ecatspec.generators.bringup import way_to
@@ -31,10 +31,10 @@ class EcatSession:
     def __init__(self, bench: Bench, name: str) -> None:
         """Power cycle the device."""
         self._bench = bench
-        self._runner = bench.runner
+        self._executor = bench.runner.executor
         self._given: list[Stimulus] = []
         self._name = name
-        self._runner.session.begin(self._runner.choices, self._runner.configuration())
+        self._executor.session.begin(self._executor.known.choices, self._executor.configuration())
 
     @property
     def model(self) -> Model:
@@ -49,7 +49,7 @@ class EcatSession:
     @property
     def state(self) -> str:
         """The AL state that the device is in, by its name in the text."""
-        return " or ".join(sorted(self._runner.session.oracle.known.al_states()))
+        return " or ".join(sorted(self._executor.session.oracle.known.al_states()))
 
     def go_to(self, state: str) -> None:
         """Bring the device from INIT to an AL state, with the settings that this needs."""
@@ -68,24 +68,24 @@ class EcatSession:
         for stimulus in stimuli:
             self._given.append(stimulus)
             try:
-                self._runner.session.apply(stimulus)
+                self._executor.session.apply(stimulus)
             except (Deviation, InconclusiveError, DeviceFault, AdapterError) as error:
                 self._tell(error)
 
     def judge(self, case: Case) -> Verdict:
         """Run a case from a power cycle of its own, as the suite does, and give its verdict."""
-        return self._runner.judge(case)
+        return self._executor.judge(case)
 
     def end(self) -> None:
         """Say where an accident of the device takes the worth from what was seen."""
-        if surprises := self._runner.session.oracle.known.surprises():
+        if surprises := self._executor.session.oracle.known.surprises():
             told = f"{' or '.join(surprises)} befell the device while it was tested"
             warnings.warn(EcatWarning(f"inconclusive: {told}"), stacklevel=2)
 
     def _tell(self, error: Deviation | InconclusiveError | DeviceFault | AdapterError) -> None:
         layer = min(self._bench.description.protocols)
         case = Case(self._name, "a test of your own", layer, tuple(self._given))
-        verdict = self._runner.explained(case, error)
+        verdict = self._executor.explained(case, error)
         if verdict.outcome is Outcome.ERROR:
             raise error
         if verdict.outcome is Outcome.INCONCLUSIVE:

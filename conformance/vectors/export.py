@@ -10,7 +10,8 @@ import msgspec
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.devices import TRUTHS, UserError, assuming, going, load, nearest, pinned
-from ecatspec.conformance.runner import SHAPE, WALK, WALKS, shape_of
+from ecatspec.conformance.dut_knowledge import SHAPE, shape_of
+from ecatspec.conformance.runner import WALK, WALKS
 from ecatspec.conformance.session import Deviation, InconclusiveError
 from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
 from ecatspec.conformance.version import version

@@ -32,7 +32,7 @@ from measure import (
 )
 
 from ecatspec.conformance.diff.behaviour import product
-from ecatspec.conformance.diff.machines import BOTH, Explored, Watched, explored, setups
+from ecatspec.conformance.diff.machines import BOTH, Explored, ObservedDevice, explored, setups
 from ecatspec.model.mealy import alike, distinguishing_word
 from ecatspec.spec.language.load import device_names, load_device
 
@@ -82,7 +82,7 @@ def machines(rows: tuple[Row, ...], effort: Effort) -> Found:
 
 def pair(first: str, second: str) -> tuple[Explored, Explored] | None:
     """Give AL x DS402 of two devices with their common inputs; None: one of them is no drive."""
-    devices = [Watched(load_device(name)) for name in (first, second)]
+    devices = [ObservedDevice(load_device(name)) for name in (first, second)]
     plans = [setups(device.model).get(BOTH) for device in devices]
     if plans[0] is None or plans[1] is None:
         return None
@@ -158,7 +158,7 @@ def profile_product(_: Effort) -> Profile:
 
 
 def profile_command(_: Effort) -> Profile:
-    both = [Watched(load_device(name)) for name in PAIR]
+    both = [ObservedDevice(load_device(name)) for name in PAIR]
     plans = [setups(device.model)[BOTH] for device in both]
     inputs = [name for name in plans[0].alphabet if name in plans[1].alphabet]
     return profiled(

@@ -73,19 +73,6 @@ class OverdueError(BaseException):
     """A mutant did not come to an end; nothing but what stops it may catch this."""
 
 
-class _Watched(VirtualSubDevice):
-    """A virtual SubDevice that keeps its steps."""
-
-    def __init__(self, protocol: Protocol, quirks: frozenset[Quirk] = frozenset()) -> None:
-        self.steps: dict[int, _Taken] = {}
-        super().__init__(protocol, quirks=quirks)
-
-    def react(self, event: Event) -> Step:
-        taken = super().react(event)
-        self.steps[id(taken)] = _Taken(self.state, event, taken)
-        return taken
-
-
 @dataclass(frozen=True, slots=True)
 class _Taken:
     """A step; the same input in the same state gives the same object."""
@@ -95,19 +82,27 @@ class _Taken:
     step: Step
 
 
+class _Steps(dict[int, _Taken]):
+    """The steps of a device, by what tells them apart; an observer of it."""
+
+    def __call__(self, state: State, event: Event, step: Step) -> None:
+        self[id(step)] = _Taken(state, event, step)
+
+
 class Heard:
     """An adapter that keeps what was exchanged since power-on."""
 
     def __init__(self, protocol: Protocol, quirks: frozenset[Quirk] = frozenset()) -> None:
         """Make the device; `quirks` are mistakes of the layer below the texts."""
-        self.device = _Watched(protocol, quirks)
+        self.device = VirtualSubDevice(protocol, quirks=quirks)
+        self.steps = self.device.observer = _Steps()
         self.adapter = Guarded(VirtualAdapter(self.device, described(protocol)))
         self.log: list[_Exchange] = []
 
     def reset(self) -> None:
         """Power cycle, and forget what was exchanged."""
         self.log = []
-        self.device.steps = {}
+        self.steps = self.device.observer = _Steps()
         self.adapter.reset()
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
@@ -178,9 +173,9 @@ class _Ground:
         self.built = as_built(protocol)
         self.heard = Heard(self.built)
         self.model = Model(protocol, closed=self.heard.describe().closed_dictionary)
-        explorer = _Watched(self.built)
+        explorer = VirtualSubDevice(self.built)
+        self.explored = explorer.observer = _Steps()
         self.machines = _machines(explorer.model, explorer)
-        self.explored = explorer.steps
         self.explored_rules = {r for taken in self.explored.values() for r in taken.step.rules}
         self.explored_states = _states(explorer.model, self.explored.values())
         self.steps: dict[int, _Taken] = {}
@@ -201,7 +196,7 @@ class _Ground:
             executor.known.choices = shape_of(executor.model.protocol)
             if executor.judge(case).outcome in BLAMING:
                 raise UserError(f"{device} is blamed without a mistake in {case.name}: repair it")
-            steps = self.heard.device.steps
+            steps = self.heard.steps
             self.steps |= steps
             log = tuple(self.heard.log)
             self.shown.append(_Shown(case, log, frozenset(steps), executor.known.choices))

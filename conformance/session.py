@@ -478,17 +478,17 @@ class Session:
             return
         wait = _FIRST_WAIT
         # where anything may happen there is nothing to see before it has
-        left = self.oracle.known.open_until(self.time) - self.time
-        if left > 0:
-            self._wait(left + 1)
-        for left in reversed(range(LOOKS)):
+        open_for = self.oracle.known.open_until(self.time) - self.time
+        if open_for > 0:
+            self._wait(open_for + 1)
+        for looks_left in reversed(range(LOOKS)):
             self._look(unread=unread)
             coming = self.oracle.to_come(self.time, unread=unread)
             self._keep_up()
             if not coming:
                 break
             if self._runs_ahead and not self._passed:
-                waits = self._foreseen(wait, coming, unread=unread)[:left]
+                waits = self._foreseen(wait, coming, unread=unread)[:looks_left]
                 if waits:
                     self._run_ahead(waits)
             self._wait(min(wait, min(coming) - self.time + 1))
@@ -514,9 +514,9 @@ class Session:
         oracle, time = self.oracle.fork(), self.time
         waits: list[int] = []
         while coming and not oracle.lost:
-            left = min(coming) - time + 1
-            waits.append(min(wait, left))
-            if wait >= left:
+            due = min(coming) - time + 1
+            waits.append(min(wait, due))
+            if wait >= due:
                 break
             time += wait
             wait *= _SLOWER[self._virtual]

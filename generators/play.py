@@ -46,7 +46,8 @@ class Reached:
 
     def by(self, model: Model, stimuli: Iterable[Stimulus]) -> Reached:
         """Give where more stimuli lead; this stays as it is, so that others can begin here too."""
-        device = self.device.kept()
+        device = VirtualSubDevice(self.device.model.protocol)
+        device.restore(self.device.snapshot())
         return Reached(device, play(model, device, stimuli, self.words))
 
 

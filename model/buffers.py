@@ -59,7 +59,7 @@ class Buffers:
         self._writing: int | None = None
         self._reading: int | None = None
 
-    def kept(self) -> Buffers:
+    def copy(self) -> Buffers:
         """Give buffers that are as these are now; neither change with the other."""
         other = copy(self)
         other._images = [image.copy() for image in self._images]  # noqa: SLF001

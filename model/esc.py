@@ -116,11 +116,11 @@ class Esc:
         self._both = model.parameter("counter_of_a_read"), model.parameter("counter_of_a_write")
         self._registers_end = max(r.address + r.size for r in protocol.registers.values())
 
-    def kept(self) -> Esc:
+    def copy(self) -> Esc:
         """Give a memory that is as this one is now; neither changes with the other."""
         other = copy(self)
         other._memory = self._memory.copy()  # noqa: SLF001
-        other._buffers = {name: buffers.kept() for name, buffers in self._buffers.items()}  # noqa: SLF001
+        other._buffers = {name: buffers.copy() for name, buffers in self._buffers.items()}  # noqa: SLF001
         return other
 
     # --- registers by name ------------------------------------------------------------------------

@@ -7,7 +7,7 @@ takes the first value; conditions of the device are as the texts assume.
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -61,6 +61,26 @@ class Quirk(StrEnum):
     """The MainDevice can write registers that only the device may write."""
 
 
+Observer: TypeAlias = "Callable[[State, Event, Step], None]"
+"""What is told of each step, before it is made: the state, the input, what the rules make of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """All that a virtual SubDevice is at one time."""
+
+    esc: Esc
+    """A copy that nobody else has."""
+    state: State
+    shown: State | None
+    taken: bytes
+    queue: tuple[bytes, ...]
+    unread: bytes | None
+    last: bytes | None
+    clock: int
+    alarms: tuple[tuple[tuple[str, str], tuple[int, Event]], ...]
+
+
 class VirtualSubDevice:
     """A SubDevice made of a protocol; `sdo_server` may serve SDO requests in its place."""
 
@@ -72,6 +92,7 @@ class VirtualSubDevice:
     ) -> None:
         """Compile the protocol and power on; `quirks` are mistakes of the layer below the texts."""
         self.quirks = quirks
+        self.observer: Observer | None = None
         self.model = _compiled(protocol)
         self._sdo_server = sdo_server
         codec = self.model.codec
@@ -95,16 +116,31 @@ class VirtualSubDevice:
         self._alarms: dict[tuple[str, str], tuple[int, Event]] = {}
         self._show()
 
-    def kept(self) -> VirtualSubDevice:
-        """Give a device that is as this one is now; neither changes with the other.
+    def snapshot(self) -> Snapshot:
+        """Give what the device is now; what serves its SDO requests in its place is no part."""
+        return Snapshot(
+            self.esc.copy(),
+            self.state,
+            self._shown,
+            self._taken,
+            tuple(self._queue),
+            self._unread,
+            self._last,
+            self._clock,
+            tuple(self._alarms.items()),
+        )
 
-        What serves its SDO requests in its place is the same for both.
-        """
-        other = copy(self)
-        other.esc = self.esc.kept()
-        other._queue = self._queue.copy()  # noqa: SLF001
-        other._alarms = self._alarms.copy()  # noqa: SLF001
-        return other
+    def restore(self, snapshot: Snapshot) -> None:
+        """Be as a device of these texts was then; a snapshot may be restored again."""
+        self.esc = snapshot.esc.copy()
+        self.state = snapshot.state
+        self._shown = snapshot.shown
+        self._taken = snapshot.taken
+        self._queue = list(snapshot.queue)
+        self._unread = snapshot.unread
+        self._last = snapshot.last
+        self._clock = snapshot.clock
+        self._alarms = dict(snapshot.alarms)
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
         """Read as the MainDevice."""
@@ -242,6 +278,8 @@ class VirtualSubDevice:
 
     def _run(self, event: Event, message: Message | None = None) -> None:
         taken = self.react(event)
+        if self.observer is not None:
+            self.observer(self.state, event, taken)
         if taken.unspecified and message is not None and not _delivered(taken):
             return
         was_alive = self._alive()

@@ -23,9 +23,9 @@ from ecatspec.conformance.diff.machines import (
     AL,
     DRIVE,
     Explored,
+    ObservedDevice,
     Part,
     Seen,
-    Watched,
     explored,
     setups,
 )
@@ -175,13 +175,13 @@ def test_a_wrong_witness_is_noticed() -> None:
 def test_a_wrong_rule_gives_the_differences_that_it_causes_and_no_others() -> None:
     sound = as_built(load_device("reference-drive"))
     chosen = [m for m in mutants(sound) if m.place.startswith(("al.", "ds402."))]
-    right = Watched(sound)
+    right = ObservedDevice(sound)
     plans = setups(right.model)
     own = {n: explored(right, plans[n], plans[n].alphabet, {}) for n in (AL, DRIVE)}
     shown = 0
     for mutant in chosen[::97]:
         assert not compare_facts(Model(sound), Model(mutant.protocol), STANDARD).differences
-        wrong = Watched(mutant.protocol)
+        wrong = ObservedDevice(mutant.protocol)
         sides = Sides((right, wrong), ({}, {}))
         name = AL if mutant.place.startswith("al.") else DRIVE
         pair = (own[name], explored(wrong, setups(wrong.model)[name], plans[name].alphabet, {}))

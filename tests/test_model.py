@@ -22,7 +22,7 @@ from ecatspec.model.evaluate import Environment, compile_expression
 from ecatspec.model.functions import PLAIN
 from ecatspec.model.interpreter import step
 from ecatspec.model.process_image import OUTPUTS
-from ecatspec.model.state import Event
+from ecatspec.model.state import Event, State
 from ecatspec.model.subdevice import Quirk, VirtualSubDevice
 from ecatspec.model.terms import counted
 from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
@@ -906,12 +906,30 @@ def test_devices_of_one_protocol_share_what_is_compiled_and_nothing_else() -> No
     assert second.state is before
 
 
-def test_what_is_to_come_in_a_kept_device_stays_to_come() -> None:
+def test_what_was_to_come_is_to_come_again_once_a_device_is_restored() -> None:
     model = Model(load_device("reference-drive"))
     device = VirtualSubDevice(model.protocol)
     play(model, device, (*way_to(model, "OP"), WriteOutputs({"control_word": 0})))
     watchdog = ("process_data", "expired")
-    kept = device.kept()
-    device.advance(10)
-    assert not device.awaits(*watchdog)
-    assert kept.awaits(*watchdog)
+    before = device.read(0x120, 0x20), device.state
+    snapshot = device.snapshot()
+    for _ in range(2):
+        device.advance(10)
+        assert not device.awaits(*watchdog)
+        assert device.state != before[1]
+        device.restore(snapshot)
+        assert device.awaits(*watchdog)
+        assert (device.read(0x120, 0x20), device.state) == before
+
+
+def test_an_observer_is_told_of_each_step_and_of_the_state_before_it() -> None:
+    device = VirtualSubDevice(load_device("reference"))
+    seen: list[tuple[State, str, State]] = []
+    device.observer = lambda state, event, taken: seen.append((state, event.input, taken.state))
+    state = device.model.slots["al.state"]
+    error = device.model.slots["al.error"]
+    device.write(device.model.protocol.registers["al_control"].address, b"\x02\x00")
+    before, given, after = seen[0]
+    assert given == "request"
+    assert (before.slots[state], before.slots[error]) == (after.slots[state], False)
+    assert after.slots[error] is True  # without mailboxes there is no way up

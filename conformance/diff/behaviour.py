@@ -27,7 +27,7 @@ from ecatspec.spec.language.scope import nodes_in
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from ecatspec.conformance.diff.machines import Explored, Watched
+    from ecatspec.conformance.diff.machines import Explored, ObservedDevice
     from ecatspec.generators.case import Stimulus
     from ecatspec.model.compiled import Model
     from ecatspec.model.mealy import Word
@@ -183,7 +183,7 @@ class Sides:
     """Both devices: which of their rules say the same, and what rules depend on."""
 
     def __init__(
-        self, devices: tuple[Watched, Watched], choices: tuple[Mapping[str, str], ...]
+        self, devices: tuple[ObservedDevice, ObservedDevice], choices: tuple[Mapping[str, str], ...]
     ) -> None:
         """Take the devices, and how open choices are made to go on each side."""
         self.devices = devices

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.diff.behaviour import Sides, product
-from ecatspec.conformance.diff.machines import MACHINES, Explored, Watched, explored, setups
+from ecatspec.conformance.diff.machines import MACHINES, Explored, ObservedDevice, explored, setups
 from ecatspec.model.compared import compare_facts
 from ecatspec.model.compiled import Model
 from ecatspec.spec.language.load import load_standard
@@ -85,7 +85,7 @@ def compare(
     first: Protocol, second: Protocol, names: tuple[str, str] | None = None, workers: int = 1
 ) -> Comparison:
     """Compare two specifications; with two `workers` each device is walked in a process."""
-    devices = (Watched(first), Watched(second))
+    devices = (ObservedDevice(first), ObservedDevice(second))
     models = (devices[0].model, devices[1].model)
     choices = (_settled(first, second), _settled(second, first))
     facts = compare_facts(models[0], models[1], Model(load_standard()))
@@ -144,12 +144,12 @@ def _missing(name: str, plans: tuple[Mapping[str, object], ...], models: tuple[M
 
 # --- two processes --------------------------------------------------------------------------------
 
-_AT_WORK: list[tuple[Watched, Mapping[str, tuple[str, ...]], Mapping[str, str]]] = []
+_AT_WORK: list[tuple[ObservedDevice, Mapping[str, tuple[str, ...]], Mapping[str, str]]] = []
 """What the other process walks; it is a copy of this one and need not be told."""
 
 
 def _walked(
-    devices: tuple[Watched, Watched],
+    devices: tuple[ObservedDevice, ObservedDevice],
     shared: Mapping[str, tuple[str, ...]],
     choices: tuple[Mapping[str, str], Mapping[str, str]],
     workers: int,
@@ -167,7 +167,7 @@ def _walked(
 
 
 def _walk(
-    device: Watched, shared: Mapping[str, tuple[str, ...]], choices: Mapping[str, str]
+    device: ObservedDevice, shared: Mapping[str, tuple[str, ...]], choices: Mapping[str, str]
 ) -> dict[str, Explored]:
     plans = setups(device.model)
     return {name: explored(device, plans[name], inputs, choices) for name, inputs in shared.items()}

@@ -8,7 +8,7 @@ stands which rules led there, so that a difference can cite them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, TypeAlias
 
 from ecatspec.generators.bringup import WATCHDOG, has_process_data, mailbox_settings, request
 from ecatspec.generators.case import (
@@ -29,14 +29,13 @@ from ecatspec.generators.complete.machines import (
     sdo_setup,
 )
 from ecatspec.generators.drive_cover import STATUS
-from ecatspec.model.buffers import Buffers
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.interpreter import expected_fields, step
 from ecatspec.model.mealy import Mealy, minimise
 from ecatspec.model.process_image import INPUTS
 from ecatspec.model.shown import layout, shown_fields, shown_register
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.subdevice import Snapshot, VirtualSubDevice
 from ecatspec.model.values import Pattern, Value, is_any
 from ecatspec.model.words import typed_words, value_words
 
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
 AL, DRIVE, BOTH, SDO = "AL", "DS402", "AL x DS402", "SDO"
 MACHINES = (AL, DRIVE, BOTH, SDO)
 """What is compared by trying it out, in this order."""
-_T = TypeVar("_T")
 _CODE = "code"
 _ABORT = "abort"
 _EXPIRED = 3_000_000
@@ -99,11 +97,19 @@ class Explored:
     seen: Mapping[str, Seen] = field(hash=False)
 
 
-class Watched(VirtualSubDevice):
-    """A virtual SubDevice that keeps which rules fired and what it was free to choose."""
+_Place: TypeAlias = "tuple[Snapshot, Mapping[int, Pattern], bool, Mapping[str, int] | None, int]"
+"""Where a device is: what it is itself, what it was free to choose, whether something was left free
+lately, the words that are written cyclically, the mailbox counter."""
+
+
+class ObservedDevice:
+    """A virtual SubDevice of which is kept which rules fired and what it was free to choose."""
 
     def __init__(self, protocol: Protocol) -> None:
         """Power on with nothing kept."""
+        self.device = VirtualSubDevice(protocol)
+        self.device.observer = self._observe
+        self.model = self.device.model
         self.free: dict[int, Pattern] = {}
         self.taken: list[Step] = []
         self.decided = False
@@ -113,16 +119,13 @@ class Watched(VirtualSubDevice):
         self.others: list[Step] = []
         """What else the texts would have let it do."""
         self.unbound = Model(protocol)
-        super().__init__(protocol)
 
-    def reset(self) -> None:
-        """Power cycle; nothing is kept."""
+    def forget(self) -> None:
+        """Keep nothing of what was."""
         self.free, self.taken = {}, []
-        super().reset()
 
-    def react(self, event: Event) -> Step:
-        """Give the step, and keep of each slot what else it may hold."""
-        taken = super().react(event)
+    def _observe(self, _state: State, event: Event, taken: Step) -> None:
+        """Keep a step, and of each slot what else it may hold."""
         for rule in taken.rules:
             for slot, _ in self.model.named(rule).updates:
                 self.free.pop(slot, None)
@@ -134,7 +137,6 @@ class Watched(VirtualSubDevice):
             self.taken.append(taken)
         if self.settled is not None:
             self._look_aside(event, taken, self.settled)
-        return taken
 
     def _look_aside(self, event: Event, taken: Step, settled: set[str]) -> None:
         """Keep what else the texts would let the device do, and which choices have shown."""
@@ -153,70 +155,51 @@ class Watched(VirtualSubDevice):
 
     def allowed(self) -> State:
         """Give the present state with all that the texts leave free in it."""
-        state = self.state
+        state = self.device.state
         for slot, pattern in self.free.items():
             state = state.having(slot, pattern)
         return state
-
-    def twin(self) -> Watched:
-        """Give another one in the same state, which goes on by itself."""
-        found = _copied(self)
-        found.esc = _copied(self.esc)
-        return found
-
-
-def _copied(thing: _T) -> _T:
-    """Copy an object and the collections that it holds, and what these hold and change."""
-    found = object.__new__(type(thing))
-    own = vars(found)
-    for name, value in vars(thing).items():
-        kind = type(value)
-        if kind is dict:
-            alive = {k: _copied(v) for k, v in value.items() if isinstance(v, Buffers)}
-            own[name] = value | alive
-        elif kind is list:
-            own[name] = [v.copy() if isinstance(v, bytearray) else v for v in value]
-        elif kind is bytearray:
-            own[name] = value.copy()
-        else:
-            own[name] = value
-    return found
-
-
-_Place: TypeAlias = "tuple[Watched, Mapping[str, int] | None, int]"
-"""A device that stands still, the words that are written cyclically, the mailbox counter."""
 
 
 class _Walked(Driven):
     """What is explored: a driven device whose outputs are sets."""
 
-    device: Watched
-
-    def __init__(self, device: Watched, setup: Setup, choices: Mapping[str, str]) -> None:
+    def __init__(self, observed: ObservedDevice, setup: Setup, choices: Mapping[str, str]) -> None:
+        device = observed.device
         super().__init__(
             device.model, setup.prelude, setup.alphabet, (), setup.slots, choices, device
         )
+        self.observed = observed
         self.setup = setup
         self.seen: dict[str, Seen] = {}
 
+    def reset(self) -> None:
+        """Power on, keep nothing of what was, and give the prelude."""
+        self.observed.forget()
+        super().reset()
+
     def give(self, symbol: str) -> str:
         """Give an input, and the name of what may be seen then."""
-        self.device.taken, self.device.decided = [], False
+        observed = self.observed
+        observed.taken, observed.decided = [], False
         super().give(symbol)
-        rules = tuple(dict.fromkeys(rule for taken in self.device.taken for rule in taken.rules))
-        outputs = [(taken.state, out) for taken in self.device.taken for out in taken.outputs]
-        found = Seen(tuple(self._parts(self.device.allowed(), outputs)), rules, self.device.decided)
+        rules = tuple(dict.fromkeys(rule for taken in observed.taken for rule in taken.rules))
+        outputs = [(taken.state, out) for taken in observed.taken for out in taken.outputs]
+        found = Seen(tuple(self._parts(observed.allowed(), outputs)), rules, observed.decided)
         name = f"{found.words()} [{', '.join(map(str, rules))}]{' *' * found.decided}"
         return self._named(name, found)
 
     def keep(self) -> _Place:
         """Give where the device is now, to go on from there later."""
-        return self.device.twin(), self.words, self._counter
+        observed = self.observed
+        free = observed.free.copy()
+        return self.device.snapshot(), free, observed.decided, self.words, self._counter
 
     def go_on(self, place: _Place) -> None:
         """Go on from a place that was kept."""
-        device, self.words, self._counter = place
-        self.device = device.twin()
+        snapshot, free, self.observed.decided, self.words, self._counter = place
+        self.device.restore(snapshot)
+        self.observed.free = dict(free)
 
     def _named(self, name: str, found: Seen) -> str:
         """Give a name that stands for nothing else."""
@@ -227,7 +210,7 @@ class _Walked(Driven):
     def key(self) -> Hashable:
         """Give what tells the present state from others."""
         device = self.device
-        state = device.allowed()
+        state = self.observed.allowed()
         managers = tuple(
             device.esc.register(name)
             for manager in (*SYNC_MANAGERS, *PROCESS_DATA)
@@ -240,10 +223,10 @@ class _Walked(Driven):
     def otherwise(self, word: Sequence[str]) -> list[Seen]:
         """Give what else the texts let the device show after the last input of a word."""
         for symbol in word:
-            self.device.others = []
+            self.observed.others = []
             self.give(symbol)
         found = []
-        for other in self.device.others:
+        for other in self.observed.others:
             outputs = [(other.state, out) for out in other.outputs]
             found.append(Seen(tuple(self._parts(other.state, outputs)), other.rules))
         return found
@@ -344,11 +327,11 @@ def _disabled(name: str) -> WriteRegister:
 
 
 def explored(
-    device: Watched, setup: Setup, inputs: Collection[str], choices: Mapping[str, str]
+    device: ObservedDevice, setup: Setup, inputs: Collection[str], choices: Mapping[str, str]
 ) -> Explored:
     """Give the machine of a device over some of the inputs of a setup, minimal.
 
-    Each state is kept as a device of its own, so that no way has to be walked twice.
+    What the device is in each state is kept, so that no way has to be walked twice.
     """
     alphabet = {name: own for name, own in setup.alphabet.items() if name in inputs}
     small = Setup(setup.name, setup.prelude, alphabet, setup.slots)
@@ -377,7 +360,7 @@ def explored(
 
 
 def otherwise(
-    device: Watched, setup: Setup, choices: Mapping[str, str], word: Sequence[str]
+    device: ObservedDevice, setup: Setup, choices: Mapping[str, str], word: Sequence[str]
 ) -> list[Seen]:
     """Give all that the texts let a device show after the last input of a word.
 

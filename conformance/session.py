@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import partial
 from time import monotonic
 from types import MappingProxyType
@@ -52,6 +52,7 @@ from ecatspec.model.dictionary import size_varies
 from ecatspec.model.esc import AREAS, PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.evaluate import Environment
 from ecatspec.model.oracle.advice import of_default, takes_nothing, unreadable, unreasoned
+from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.oracle.waiting import unseen
 from ecatspec.model.process_image import INPUTS, OUTPUTS
 from ecatspec.model.values import bits_of
@@ -63,7 +64,6 @@ if TYPE_CHECKING:
     from ecatspec.conformance.adapter import Adapter, Reading, Span
     from ecatspec.model.codec import Message
     from ecatspec.model.compiled import Model
-    from ecatspec.model.oracle.oracle import Oracle
     from ecatspec.model.values import ObjectKey, Value
     from ecatspec.spec.language.ir import ObjectEntry
 
@@ -120,6 +120,13 @@ class Advice:
     mismatch: Mismatch
     trace: tuple[TraceLine, ...]
     time: int
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSnapshot:
+    """All that a session is at one time, without its device."""
+
+    values: Mapping[str, object]
 
 
 @dataclass(slots=True)
@@ -190,6 +197,16 @@ class Session:
     def refusals(self) -> list[str]:
         """Why the device refused what it was asked."""
         return [what for _, who, what, _ in self._told if who == REASON and isinstance(what, str)]
+
+    def snapshot(self) -> SessionSnapshot:
+        """Give what the session is now, without its device."""
+        values = {name: getattr(self, name) for name in _OWN}
+        return SessionSnapshot(MappingProxyType({n: _apart(v) for n, v in values.items()}))
+
+    def restore(self, snapshot: SessionSnapshot) -> None:
+        """Be as a session with this device was then; a snapshot may be restored again."""
+        for name, value in snapshot.values.items():
+            setattr(self, name, _apart(value))
 
     def forget_trace(self) -> None:
         """Begin with an empty trace."""
@@ -739,6 +756,20 @@ class Session:
 
     def _say(self, who: str, what: str | Callable[[], str], data: bytes = b"") -> None:
         self._told.append((self.time, who, what, data))
+
+
+_OWN: Final = tuple(item.name for item in fields(Session) if item.name not in {"adapter", "model"})
+
+
+def _apart(value: object) -> object:
+    """Give a value that does not change with the one in a session."""
+    match value:
+        case Oracle():
+            return value.fork()
+        case list() | dict() | deque():
+            return value.copy()
+        case _:
+            return value
 
 
 def _writes(model: Model, *writes: WriteRegister) -> str:

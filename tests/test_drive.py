@@ -188,7 +188,10 @@ def unpinned() -> Model:
 
 
 def blamed(device: VirtualSubDevice, tried: Iterable[Case]) -> list[str]:
-    run = resumed(unpinned(), VirtualAdapter(device, description(REFERENCE)))
+    adapter = VirtualAdapter(device, description(REFERENCE))
+    # a snapshot has no part of what a device of a test holds beside
+    plain = type(device) is VirtualSubDevice
+    run = resumed(unpinned(), adapter) if plain else Runner(unpinned(), adapter, adapter.describe())
     verdicts = [run.executor.judge(each) for each in tried]
     return [f"{v.case}: {v.observed} {v.clauses}" for v in verdicts if v.outcome in BLAMING]
 

@@ -12,7 +12,7 @@ from ecatspec.conformance.adapter import (
 )
 from ecatspec.conformance.adapters import refuse_options
 from ecatspec.conformance.devices import load, nearest
-from ecatspec.model.subdevice import Quirk, VirtualSubDevice
+from ecatspec.model.subdevice import Quirk, Snapshot, VirtualSubDevice
 from ecatspec.spec.language.load import load_faults, plant
 
 if TYPE_CHECKING:
@@ -94,6 +94,14 @@ class VirtualAdapter:
         """Make a local event befall the device."""
         machine, _, name = event.partition(".")
         self._device.happen(machine, name, {})
+
+    def snapshot(self) -> Snapshot:
+        """Give what the device is now."""
+        return self._device.snapshot()
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Let the device be as it was then."""
+        self._device.restore(snapshot)
 
     def close(self) -> None:
         """Nothing to release."""

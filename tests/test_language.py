@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -93,6 +94,7 @@ from ecatspec.spec.language.load import (
     load_standard,
     plant,
 )
+from ecatspec.spec.language.merge import merge_standard
 from ecatspec.spec.language.parse import decode, parse_text
 from ecatspec.spec.language.pretty import pretty, pretty_expression
 from ecatspec.spec.language.scope import (
@@ -298,6 +300,69 @@ def test_guards_that_say_the_opposite_need_no_search(
     plain = len(searched)
     compile_texts([BASE, parse_text(rules(*guards), "text")])
     assert len(searched) == 2 * plain
+
+
+# --- which rules are compared ---------------------------------------------------------------------
+
+LIMITS = st.dictionaries(
+    st.sampled_from("abc"), st.frozensets(st.integers(0, 3), max_size=3), max_size=3
+)
+
+
+def have_values_left(one: overlap.Limits, other: overlap.Limits) -> bool:
+    return all(one[key] & other[key] for key in one.keys() & other.keys())
+
+
+@given(st.lists(LIMITS, max_size=8))
+def test_rows_that_may_meet_are_those_of_all_pairs(limits: list[overlap.Limits]) -> None:
+    every = itertools.combinations(range(len(limits)), 2)
+    plain = {(one, other) for one, other in every if have_values_left(limits[one], limits[other])}
+    assert overlap.pairs_that_may_meet(limits) == plain
+
+
+GUARDS = st.recursive(
+    st.sampled_from(
+        [
+            *(f"number == {n}" for n in range(3)),
+            *(f"{n} == other" for n in range(2)),
+            "number in { 0, 2 }",
+            "number in { 0..1, 7 }",
+            "signed == number",
+            "flag",
+            "not truth",
+            "al.state == INIT",
+            "refused_in_op == stay",
+        ]
+    ),
+    lambda parts: (
+        st.builds("({} {} {})".format, parts, st.sampled_from(["and", "or"]), parts)
+        | st.builds("not ({})".format, parts)
+    ),
+    max_leaves=4,
+)
+
+
+@given(st.lists(GUARDS, min_size=2, max_size=6))
+def test_what_overlaps_is_what_a_comparison_of_all_pairs_finds(guards: list[str]) -> None:
+    def plain(limits: list[overlap.Limits]) -> set[tuple[int, int]]:
+        every = itertools.combinations(range(len(limits)), 2)
+        keys = ("input", "from")
+        return {(i, j) for i, j in every if all(limits[i][k] & limits[j][k] for k in keys)}
+
+    texts = [BASE, parse_text(rules(*guards), "text")]
+    protocol, _ = merge_standard(texts)
+    found = overlap.meaning(protocol)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(overlap, "pairs_that_may_meet", plain)
+        assert overlap.meaning(protocol) == found
+
+
+def test_rules_that_constants_keep_apart_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[tuple[int, int]] = []
+    monkeypatch.setattr(overlap, "_may_meet", lambda _, *pair: compared.append(pair))
+    limits: list[overlap.Limits] = [{"input": {0}, "number": {n // 2}} for n in range(200)]
+    overlap.pairs_that_may_meet(limits)
+    assert compared == [(n, n + 1) for n in range(198, -1, -2)]
 
 
 # --- risky ways ----------------------------------------------------------------------------------

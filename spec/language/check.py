@@ -324,9 +324,8 @@ class _Checker:
         rules_and_gaps: tuple[Rule | Gap, ...] = (*machine.rules, *machine.gaps)
         for row in rules_and_gaps:
             self._states(machine, row.sources, row.at)
-            inputs = [item.name for item in machine.inputs]
-            if row.input not in inputs:
-                self._missing("input", row.input, inputs, row.at)
+            if row.input not in machine.input_by_name:
+                self._missing("input", row.input, machine.input_by_name, row.at)
         for rule in machine.rules:
             if rule.target is not None:
                 self._states(machine, (rule.target,), rule.at)

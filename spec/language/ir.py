@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
@@ -579,7 +580,7 @@ class Gap:
     at: Span = field(default=NOWHERE, compare=False)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # without slots: there would be no place for `input_by_name`
 class Machine:
     """An extended finite state machine; `states` are rows of the table `table`."""
 
@@ -593,6 +594,11 @@ class Machine:
     rules: tuple[Rule, ...]
     gaps: tuple[Gap, ...]
     at: Span = field(default=NOWHERE, compare=False)
+
+    @cached_property
+    def input_by_name(self) -> dict[str, Input]:
+        """The inputs by their names."""
+        return {item.name: item for item in self.inputs}
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,10 @@ it misses a solver finds.
 from __future__ import annotations
 
 import itertools
+import math
+from collections import Counter
+from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
@@ -71,10 +75,16 @@ if TYPE_CHECKING:
 BUDGET: Final = 20_000
 """How many partial combinations are looked at before a pair of rules is given up."""
 
+_INPUT: Final = "input"
+_SOURCES: Final = "from"
+
 _Value: TypeAlias = int | str
 _Dimension: TypeAlias = Ref | Call | Binary
 _Row: TypeAlias = Rule | Gap
 _Test: TypeAlias = "Callable[[_Environment], _Value | None]"
+_Limited: TypeAlias = _Dimension | str
+Limits: TypeAlias = Mapping[_Limited, AbstractSet[_Value]]
+"""What a row needs: the values, all told, that some dimensions may have, its states, its input."""
 _Waiting: TypeAlias = "tuple[_Test, tuple[_Dimension, ...]]"
 """A test that is not decided, and the dimensions that it asks for."""
 
@@ -121,16 +131,18 @@ def _changed(protocol: Protocol, machine: Machine) -> dict[str, Span]:
 def _overlaps(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
     changed = _changed(protocol, machine)
     rows: tuple[_Row, ...] = (*machine.rules, *machine.gaps)
-    guards = {row.name: _Guard(protocol, machine, row, pinned=True) for row in rows}
-    pairs: Iterator[tuple[_Row, _Row]] = itertools.combinations(rows, 2)
-    for one, other in pairs:
-        if isinstance(one, Gap) or one.input != other.input:
+    guards = [_Guard(protocol, machine, row, pinned=True) for row in rows]
+    limits = [
+        {_INPUT: {row.input}, _SOURCES: set(row.sources), **guard.limits}
+        for row, guard in zip(rows, guards, strict=True)
+    ]
+    for place, another in sorted(pairs_that_may_meet(limits)):
+        one, other = rows[place], rows[another]
+        if isinstance(one, Gap):
             continue
-        common = [source for source in one.sources if source in other.sources]
-        if not common:
-            continue
-        example = _both(guards[one.name], guards[other.name])
+        example = _both(guards[place], guards[another])
         if example is not None:
+            common = [source for source in one.sources if source in other.sources]
             first, second = (one, other) if one.at <= other.at else (other, one)
             kind = "gap" if isinstance(second, Gap) else "rule"
             yield Diagnostic(
@@ -180,6 +192,61 @@ def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
                 f"no rule leads `{machine.name}` from {machine.initial} to {state}",
                 "add a rule that goes there, or take the state away",
             )
+
+
+# -- which rows may meet ---------------------------------------------------------------------------
+
+
+def pairs_that_may_meet(limits: Sequence[Limits]) -> set[tuple[int, int]]:
+    """Give all pairs of rows, by their places, that no limit keeps apart.
+
+    Rows are put together by the values of what divides them best, so that most pairs that are
+    kept apart are never looked at.
+    """
+    found: set[tuple[int, int]] = set()
+    waiting: list[tuple[list[int], frozenset[_Limited]]] = [([*range(len(limits))], frozenset())]
+    while waiting:
+        rows, used = waiting.pop()
+        divider = _divider(rows, limits, used)
+        if divider is None:
+            found.update(p for p in itertools.combinations(rows, 2) if _may_meet(limits, *p))
+            continue
+        free = [row for row in rows if divider not in limits[row]]
+        limited = [row for row in rows if divider in limits[row]]
+        crossed = ((min(p), max(p)) for p in itertools.product(free, limited))
+        found.update(p for p in crossed if _may_meet(limits, *p))
+        with_value: dict[_Value, list[int]] = {}
+        for row in limited:
+            for value in limits[row][divider]:
+                with_value.setdefault(value, []).append(row)
+        used |= {divider}
+        waiting += [(part, used) for part in (free, *with_value.values()) if len(part) > 1]
+    return found
+
+
+def _may_meet(limits: Sequence[Limits], one: int, other: int) -> bool:
+    mine, others = limits[one], limits[other]
+    return not any(key in others and values.isdisjoint(others[key]) for key, values in mine.items())
+
+
+def _divider(
+    rows: Sequence[int], limits: Sequence[Limits], used: frozenset[_Limited]
+) -> _Limited | None:
+    """Give what leaves the fewest pairs to look at; None: nothing leaves fewer than all."""
+    limited: Counter[_Limited] = Counter()
+    with_value: Counter[tuple[_Limited, _Value]] = Counter()
+    for row in rows:
+        for key, values in limits[row].items():
+            if key not in used:
+                limited[key] += 1
+                with_value.update((key, value) for value in values)
+    count = len(rows)
+    # a row without the limit meets all others
+    left = {key: math.comb(count, 2) - math.comb(many, 2) for key, many in limited.items()}
+    for (key, _), many in with_value.items():
+        left[key] += math.comb(many, 2)
+    best = min(left, key=lambda key: left[key], default=None)
+    return None if best is None or left[best] >= math.comb(count, 2) else best
 
 
 # --- search --------------------------------------------------------------------------------------
@@ -337,11 +404,15 @@ def _name(dimension: _Dimension) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Operand:
-    """A part of a guard: how it is evaluated, which dimension it is, its constant value."""
+    """A part of a guard: how it is evaluated, which dimension it is, its constant value.
+
+    `limit`: it is false unless a dimension has one of these values.
+    """
 
     test: _Test
     dimension: _Dimension | None = None
     constant: _Value | None = None
+    limit: tuple[_Dimension, frozenset[_Value]] | None = None
 
 
 _UNKNOWN: Final = _Operand(lambda _: None)
@@ -361,9 +432,13 @@ class _Guard:
         self.calculates = False
         self.claims: set[tuple[Expression, bool]] = set()
         self.tests: list[_Test] = []
+        self.limits: dict[_Dimension, frozenset[_Value]] = {}
         if row.guard is not None:
             parts = self._conjuncts(row.guard, negated=False)
-            self.tests = [self._build(part, Bool()).test for part in parts]
+            built = [self._build(part, Bool()) for part in parts]
+            self.tests = [operand.test for operand in built]
+            for dimension, values in (o.limit for o in built if o.limit is not None):
+                self.limits[dimension] = values & self.limits.get(dimension, values)
         if self.calculates:
             for dimension in self._numeric:
                 self._near(dimension, self._constants)
@@ -532,7 +607,10 @@ class _Guard:
                     self.samples.pop(side.dimension, None)
             return self._dimension(value, Bool())
         self._related(left, right)
-        return _Operand(_compared(value.operator, left.test, right.test))
+        limit = None
+        if value.operator == "==":
+            limit = _limit(left, [right]) or _limit(right, [left])
+        return _Operand(_compared(value.operator, left.test, right.test), limit=limit)
 
     def _opaque(self, operand: _Operand) -> bool:
         """A dimension without samples: bytes. What is compared with it is a truth of its own."""
@@ -542,6 +620,7 @@ class _Guard:
         expected = expectation(self._protocol, operand, self._scope)
         subject = self._build(operand, expected)
         tests: list[_Test] = []
+        singles: list[_Operand] = []
         for item in items:
             if isinstance(item, Range):
                 low, high = self._build(item.low, expected), self._build(item.high, expected)
@@ -555,12 +634,24 @@ class _Guard:
                 )
             else:
                 single = self._build(item, expected)
+                singles.append(single)
                 self._related(subject, single)
                 tests.append(_compared("==", subject.test, single.test))
         test = _constantly(value=False)
         for more in tests:
             test = _or(test, more)
-        return _Operand(test)
+        limit = _limit(subject, singles) if len(singles) == len(items) else None
+        return _Operand(test, limit=limit)
+
+
+def _limit(
+    subject: _Operand, values: Sequence[_Operand]
+) -> tuple[_Dimension, frozenset[_Value]] | None:
+    """Give what a subject that equals one of these values is limited to, if all are constant."""
+    constants = frozenset(v.constant for v in values if v.constant is not None)
+    if subject.dimension is None or any(v.constant is None for v in values):
+        return None
+    return subject.dimension, constants
 
 
 def _constantly(*, value: _Value) -> _Test:

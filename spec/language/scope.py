@@ -416,8 +416,7 @@ def known_names(protocol: Protocol, scope: Scope, expected: Kind | None = None) 
 def input_of(protocol: Protocol, scope: Scope) -> Input | None:
     """The input that a rule reacts to."""
     machine = protocol.machines.get(scope.machine or "")
-    inputs = () if machine is None else machine.inputs
-    return next((item for item in inputs if item.name == scope.input), None)
+    return None if machine is None else machine.input_by_name.get(scope.input or "")
 
 
 def frame_fields(protocol: Protocol, name: str) -> dict[str, Type]:

@@ -658,9 +658,10 @@ class Session:
             mismatch = unreadable(self.model, names[0], exchange)
             if mismatch is not None:
                 self._deviates(mismatch, exchange)
-        told = self.oracle.known.reasons() if names == AL else ()
+        before = self.oracle.known
         self._observe(exchange)
-        if names == AL:
+        if names == AL and self.oracle.candidates != before.candidates:
+            told = before.reasons()
             for reason in self.oracle.known.reasons():
                 if reason not in told:
                     self._say(REASON, reason)

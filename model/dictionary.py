@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ecatspec.model.evaluate import Environment, Function
@@ -167,9 +168,7 @@ class ObjectDictionary:
         if self._exact or not size_varies(entry):
             return known
         # behind a byte string that was written lie zeros, or what was there before
-        open_end = isinstance(entry.type, Bytes) and _writable(entry)
-        mask = (b"\xff" * len(known)).ljust(most, b"\0") if open_end else None
-        return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"), mask=mask)
+        return _padded(known, most, open_end=isinstance(entry.type, Bytes) and _writable(entry))
 
     def _mapping(self, entry: ObjectEntry) -> tuple[bytes | None, bytes | None]:
         """Give the bytes, and which bits of them are sure, of an entry that maps so many bits."""
@@ -456,6 +455,16 @@ def decode_value(entry: ObjectEntry, data: bytes) -> int:
     """Give the number that the bytes of this entry hold."""
     signed = isinstance(entry.type, SInt)
     return int.from_bytes(data[: size_of(entry)], "little", signed=signed)
+
+
+@lru_cache(maxsize=4)
+def _padded(known: bytes, most: int, *, open_end: bool) -> Pattern:
+    """Give what is known of a byte string of up to `most` bytes.
+
+    It is asked for each segment of a transfer, and a long value is copied for it.
+    """
+    mask = (b"\xff" * len(known)).ljust(most, b"\0") if open_end else None
+    return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"), mask=mask)
 
 
 def _size_allowed(entry: ObjectEntry, size: Value) -> Value:

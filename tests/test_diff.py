@@ -8,13 +8,14 @@ import subprocess
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from click.testing import CliRunner
 
 from ecatspec.conformance import cli
 from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.diff import comparison
 from ecatspec.conformance.diff import devices as diff_devices
 from ecatspec.conformance.diff.behaviour import Grade, Sides, graded, product
 from ecatspec.conformance.diff.comparison import Comparison, compare
@@ -587,3 +588,24 @@ def test_wrong_input_is_one_line(call: object, words: list[str], said: str) -> N
 
 def test_the_help_has_an_example() -> None:
     assert "ecatspec diff" in CliRunner().invoke(cli.cli, ["diff", "--help"]).output
+
+
+def test_walks_of_an_earlier_start_are_found_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    walked: list[str] = []
+
+    def counted(device: Watched, setup: Setup, *more: Any) -> Explored:  # noqa: ANN401  passed on
+        walked.append(setup.name)
+        return explored(device, setup, *more)
+
+    monkeypatch.setattr(comparison, "explored", counted)
+    pair = load_device(AFAG), load_device(BECKHOFF)
+    plain = compare(*pair)
+    machines = len(walked)
+    assert [compare(*pair, keeps=True) for _ in range(2)] == [plain] * 2
+    assert len(walked) == 2 * machines
+    # an answer is for these texts, these inputs and these choices alone
+    compare(replace(pair[0], digest="another"), pair[1], keeps=True)
+    assert len(walked) == 2 * machines + machines // 2

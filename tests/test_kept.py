@@ -9,7 +9,7 @@ import pytest
 
 from ecatspec.spec.language import load
 from ecatspec.spec.language.diagnostics import SpecError
-from ecatspec.spec.language.kept import folder, kept
+from ecatspec.spec.language.kept import digest_of, folder, kept
 from ecatspec.spec.language.parse import decode, parse_text
 
 if TYPE_CHECKING:
@@ -61,6 +61,20 @@ def test_another_source_is_made_anew_and_takes_its_place(place: Path) -> None:
         "made 3",
     ]
     assert len(list(place.iterdir())) == 1
+
+
+def test_another_program_makes_it_anew(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = place.parent / "thinker"
+    (package / "deeper").mkdir(parents=True)
+    for folder_ in (package, package / "deeper"):
+        (folder_ / "__init__.py").write_text("")
+    monkeypatch.syspath_prepend(str(place.parent))
+    make, program = Maker(), ("ecatspec.spec.language", "thinker")
+    assert [kept("a", b"one", make, program) for _ in range(2)] == ["made 1"] * 2
+    assert kept("a", b"one", make) == "made 2"
+    (package / "deeper" / "part.py").write_text("x = 1")
+    digest_of.cache_clear()
+    assert [kept("a", b"one", make, program) for _ in range(2)] == ["made 3"] * 2
 
 
 @pytest.mark.parametrize("rubbish", [b"", b"\x80\x05", b"cnowhere\nnothing\n.", b"\x80\x05K\x01."])

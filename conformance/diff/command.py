@@ -56,7 +56,8 @@ def texts(first: str, second: str, wanted: Wanted) -> Told:
     sections = sections_of(wanted.sections)
     with _uncollected():
         pair = (subject(first), subject(second))
-        whole = compare(*pair, _names(first, second), workers=min(_TWO, processors()))
+        names, workers = _names(first, second), min(_TWO, processors())
+        whole = compare(*pair, names, workers, keeps=True)
     found = whole.only(sections)
     failures: tuple[str, ...] = ()
     if wanted.verify or wanted.vectors:

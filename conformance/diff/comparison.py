@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing
 import os
 import signal
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.diff.behaviour import Sides, product
 from ecatspec.conformance.diff.machines import MACHINES, Explored, ObservedDevice, explored, setups
 from ecatspec.model.compared import compare_facts
 from ecatspec.model.compiled import Model
+from ecatspec.spec.language.kept import kept
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
@@ -82,9 +84,17 @@ _UNTRIED = (
 
 
 def compare(
-    first: Protocol, second: Protocol, names: tuple[str, str] | None = None, workers: int = 1
+    first: Protocol,
+    second: Protocol,
+    names: tuple[str, str] | None = None,
+    workers: int = 1,
+    *,
+    keeps: bool = False,
 ) -> Comparison:
-    """Compare two specifications; with two `workers` each device is walked in a process."""
+    """Compare two specifications; with two `workers` each device is walked in a process.
+
+    `keeps`: both are as they were loaded, so that what an earlier start found is found again.
+    """
     devices = (ObservedDevice(first), ObservedDevice(second))
     models = (devices[0].model, devices[1].model)
     choices = (_settled(first, second), _settled(second, first))
@@ -95,7 +105,10 @@ def compare(
         for name in MACHINES
         if name in plans[0] and name in plans[1]
     }
-    walks = _walked(devices, shared, choices, workers)
+    one, other = (
+        _Walk(device, shared, own, keeps) for device, own in zip(devices, choices, strict=True)
+    )
+    walks = _walked(one, other, workers)
     sides = Sides(devices, choices)
     known: set[object] = set()
     behaviours: list[Behaviour] = []
@@ -142,35 +155,61 @@ def _missing(name: str, plans: tuple[Mapping[str, object], ...], models: tuple[M
     return f"{name}: {' and '.join(lack)} cannot be driven there (no such objects or process data)"
 
 
-# --- two processes --------------------------------------------------------------------------------
+# --- walks ----------------------------------------------------------------------------------------
 
-_AT_WORK: list[tuple[ObservedDevice, Mapping[str, tuple[str, ...]], Mapping[str, str]]] = []
+_PROGRAM: Final = (
+    "ecatspec.spec.language",
+    "ecatspec.model",
+    "ecatspec.generators",
+    "ecatspec.conformance.diff",
+)
+"""The packages that decide what a walk finds."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """One side: its device, the inputs of each machine that both have, how its choices go."""
+
+    device: ObservedDevice
+    inputs: Mapping[str, tuple[str, ...]]
+    choices: Mapping[str, str]
+    keeps: bool
+
+    def found(self) -> dict[str, Explored]:
+        """Give the machines, from an earlier start where it may be."""
+        if not self.keeps:
+            return self._walked()
+        protocol = self.device.model.protocol
+        asked = repr((sorted(self.inputs.items()), sorted(self.choices.items()))).encode()
+        name = hashlib.sha256(protocol.name.encode() + asked).hexdigest()[:16]
+        source = protocol.digest.encode() + asked
+        return kept(f"walk-{name}", source, self._walked, _PROGRAM)
+
+    def _walked(self) -> dict[str, Explored]:
+        plans = setups(self.device.model)
+        return {
+            name: explored(self.device, plans[name], inputs, self.choices)
+            for name, inputs in self.inputs.items()
+        }
+
+
+_AT_WORK: list[_Walk] = []
 """What the other process walks; it is a copy of this one and need not be told."""
 
 
 def _walked(
-    devices: tuple[ObservedDevice, ObservedDevice],
-    shared: Mapping[str, tuple[str, ...]],
-    choices: tuple[Mapping[str, str], Mapping[str, str]],
-    workers: int,
+    one: _Walk, other: _Walk, workers: int
 ) -> tuple[dict[str, Explored], dict[str, Explored]]:
     if workers == 1 or "fork" not in multiprocessing.get_all_start_methods():
-        return _walk(devices[0], shared, choices[0]), _walk(devices[1], shared, choices[1])
-    _AT_WORK.append((devices[1], shared, choices[1]))
+        return one.found(), other.found()
+    _AT_WORK.append(other)
     pool = ProcessPoolExecutor(1, multiprocessing.get_context("fork"), _begin)
     try:
-        other = pool.submit(_other)
-        return _walk(devices[0], shared, choices[0]), other.result()
+        found = pool.submit(_other)
+        return one.found(), found.result()
     finally:
         pool.shutdown(cancel_futures=True)
         _AT_WORK.pop()
-
-
-def _walk(
-    device: ObservedDevice, shared: Mapping[str, tuple[str, ...]], choices: Mapping[str, str]
-) -> dict[str, Explored]:
-    plans = setups(device.model)
-    return {name: explored(device, plans[name], inputs, choices) for name, inputs in shared.items()}
 
 
 def _begin() -> None:
@@ -179,7 +218,7 @@ def _begin() -> None:
 
 
 def _other() -> dict[str, Explored]:
-    return _walk(*_AT_WORK[-1])
+    return _AT_WORK[-1].found()
 
 
 def processors() -> int:

@@ -12,12 +12,13 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 _T = TypeVar("_T")
+_LANGUAGE: Final = ("ecatspec.spec.language",)
 
 
 def folder() -> Path | None:
@@ -35,16 +36,19 @@ def folder() -> Path | None:
     return place if own and not status.st_mode & 0o022 else None
 
 
-def kept(name: str, source: bytes, make: Callable[[], _T]) -> _T:
+def kept(
+    name: str, source: bytes, make: Callable[[], _T], program: tuple[str, ...] = _LANGUAGE
+) -> _T:
     """Give what `make` gives; what it gave at an earlier start for the same `source` and program.
 
-    One answer is kept under each name, which may be that of a file.
+    One answer is kept under each name, which may be that of a file. `program` names the packages
+    that decide what `make` gives.
     """
     place = folder()
     if place is None:
         return make()
     file = place / f"{name}.pickle"
-    key = hashlib.sha256(_program() + source).digest()
+    key = hashlib.sha256(digest_of(program) + source).digest()
     # a file may have been cut off, or be of another version: whatever goes wrong, it is made anew
     with suppress(Exception):
         told, answer = pickle.loads(file.read_bytes())  # noqa: S301  the folder is one's own
@@ -84,11 +88,14 @@ def _write(file: Path, data: bytes) -> None:
 
 
 @cache
-def _program() -> bytes:
-    """Give a digest of what decides how texts are read."""
-    package = resources.files(__package__)
-    parts = (f for f in package.iterdir() if f.name.endswith((".py", ".lark")))
+def digest_of(packages: tuple[str, ...]) -> bytes:
+    """Give a digest of the source of packages and of those in them."""
     digest = hashlib.sha256()
-    for part in sorted(parts, key=lambda part: part.name):
-        digest.update(part.read_bytes())
+    waiting = [resources.files(package) for package in packages]
+    while waiting:
+        for part in sorted(waiting.pop().iterdir(), key=lambda part: part.name):
+            if part.name.endswith((".py", ".lark")):
+                digest.update(part.name.encode() + b"\0" + part.read_bytes())
+            elif part.is_dir() and not part.name.startswith("__"):
+                waiting.append(part)
     return digest.digest()

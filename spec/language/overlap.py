@@ -194,7 +194,7 @@ def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
             )
 
 
-# -- which rows may meet ---------------------------------------------------------------------------
+# --- which rows may meet --------------------------------------------------------------------------
 
 
 def pairs_that_may_meet(limits: Sequence[Limits]) -> set[tuple[int, int]]:

@@ -183,19 +183,6 @@ def test_an_answer_that_is_left_unread_is_only_seen() -> None:
     assert any(isinstance(e, Full) and e.full for step in test.steps for e in step.expect)
 
 
-@pytest.mark.parametrize(("name", "step"), [(PLAIN, 250), (DRIVE, 250)])
-def test_a_test_does_not_depend_on_the_one_before(name: str, step: int) -> None:
-    """What cases begin with alike is recorded once; each alone is recorded from power-on."""
-    together, alone = (exporting.Export(Wanted(name, "quick")) for _ in range(2))
-    together.configure()
-    alone.configure()
-    for case in sampled(Model(load(name)), NO_LIMITS, "quick", step):
-        alone._beginnings.clear()  # noqa: SLF001  nobody else wants it
-        assert together.record(case) == alone.record(case)
-    assert together.cut == alone.cut
-    assert together.restless == alone.restless
-
-
 def test_the_same_input_gives_the_same_bytes() -> None:
     script = (
         "import sys; from itertools import islice;"

@@ -69,10 +69,6 @@ class VirtualAdapter:
         self._description = description
         self._power_off = power_off
 
-    def kept(self) -> VirtualAdapter:
-        """Give an adapter to a device that is as this one is now; each goes its own way."""
-        return VirtualAdapter(self._device.kept(), self._description, self._power_off)
-
     def reset(self) -> None:
         """Power cycle."""
         if self._power_off is not None:

@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from typing import IO
 
     from ecatspec.conformance.runner import Progress
-    from ecatspec.generators.case import Stimulus
     from ecatspec.generators.finite_cover import Complete
     from ecatspec.generators.vectors import Step
     from ecatspec.model.values import ObjectKey
@@ -111,10 +110,6 @@ class Export:
     protocol: Protocol = field(init=False)
     _model: Model = field(init=False)
     _recorder: Recorder = field(init=False)
-    _beginnings: dict[tuple[bool, bool], list[tuple[Stimulus | None, Recorder]]] = field(
-        default_factory=dict
-    )
-    """What was recorded after each stimulus of the last case, by how the recorder was begun."""
     _ways: dict[str, str] = field(default_factory=dict)
     _truths: dict[str, str] = field(default_factory=dict)
     """The conditions that the device is known to meet, or not."""
@@ -215,17 +210,22 @@ class Export:
     def record(self, case: Case) -> Test | None:
         """Give the test that a case becomes; None: the virtual SubDevice comes to no rest in it."""
         requires = bool(self._objects) and _rests_on_configuration(case)
+        repeats = any(isinstance(stimulus, Repeat) for stimulus in case.stimuli)
+        self._recorder.acknowledges = repeats or case.layer == MAILBOX
         try:
-            recorder = self._recorded(case, requires=requires)
+            self._recorder.begin(shape_of(self.protocol), self._objects if requires else {})
+            for stimulus in case.stimuli:
+                self._recorder.apply(stimulus)
+                if self._recorder.oracle.lost:
+                    self.cut.append(case.name)  # what would follow says nothing
+                    break
         except (Deviation, InconclusiveError, RestlessError):
             self.restless.append(case.name)
             return None
-        if recorder.oracle.lost:
-            self.cut.append(case.name)
         if case.name == CONFIGURATION:
-            self._objects = at_power_on(self._model, recorder.oracle.known.example().objects)
+            self._objects = at_power_on(self._model, self._recorder.oracle.known.example().objects)
         self.number += 1
-        steps = recorder.steps
+        steps = self._recorder.steps
         flags = [case.flag] if case.flag else []
         if ends := any(step.can_end for step in steps):
             flags.append(OTHER_WAYS)
@@ -243,33 +243,6 @@ class Export:
             requires=requires,
             clauses=sorted(clauses or self._clauses_of_reads(steps)),
         )
-
-    def _recorded(self, case: Case, *, requires: bool) -> Recorder:
-        """Give a recorder after a case, which does not do again what the last one began with.
-
-        Device and oracle are functions of what was done since power-on.
-        """
-        acknowledges = case.layer == MAILBOX or any(isinstance(s, Repeat) for s in case.stimuli)
-        path = self._beginnings.setdefault((acknowledges, requires), [])
-        if not path:
-            recorder = self._recorder.kept()
-            recorder.acknowledges = acknowledges
-            recorder.begin(shape_of(self.protocol), self._objects if requires else {})
-            path.append((None, recorder))
-        known = 1
-        for (stimulus, _), wanted in zip(path[1:], case.stimuli, strict=False):
-            if stimulus != wanted:
-                break
-            known += 1
-        del path[known:]
-        for stimulus in case.stimuli[known - 1 :]:
-            recorder = path[-1][1]
-            if recorder.oracle.lost:
-                break  # what would follow says nothing
-            recorder = recorder.kept()
-            recorder.apply(stimulus)
-            path.append((stimulus, recorder))
-        return path[-1][1]
 
     def _clauses_of_reads(self, steps: Iterable[Step]) -> set[str]:
         """Give the clauses of the registers that are read: of what no rule has led to."""

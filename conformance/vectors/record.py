@@ -8,7 +8,6 @@ same on every device that goes the same way.
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -40,7 +39,7 @@ from ecatspec.model.values import bits_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from ecatspec.conformance.adapters.model import VirtualAdapter
+    from ecatspec.conformance.adapter import Adapter
     from ecatspec.generators.case import Stimulus
     from ecatspec.generators.vectors import Effect, Expected, Input
     from ecatspec.model.candidates import Candidate
@@ -66,13 +65,6 @@ _TRIES: Final = 64
 """So often it is waited and looked before a device counts as never coming to rest."""
 
 
-_CHANGES: Final = (
-    *("_told", "advice", "overlooked", "_answers", "_shown", "_shown_words"),
-    *("_ahead", "_seen", "_passed", "steps", "_looks", "_states"),
-)
-"""What is added to while a stimulus is given; all else is replaced, or the same for all."""
-
-
 class RestlessError(Exception):
     """A case after which the virtual SubDevice does not come to rest: it has no vector."""
 
@@ -80,9 +72,7 @@ class RestlessError(Exception):
 class Recorder(Session):
     """A session with the virtual SubDevice that keeps what was done and what may be seen."""
 
-    adapter: VirtualAdapter
-
-    def __init__(self, adapter: VirtualAdapter, model: Model, oracle: Oracle) -> None:
+    def __init__(self, adapter: Adapter, model: Model, oracle: Oracle) -> None:
         """Take what a session takes; the device goes the ways that the vectors are to go."""
         super().__init__(adapter, model, oracle)
         self.steps: list[Step] = []
@@ -108,16 +98,6 @@ class Recorder(Session):
         """What explains something that is only seen where the device did something by itself."""
         low, width = model.codec.place(MAILBOX, COUNTER)
         self._counter_bits = (1 << width) - 1 << low
-
-    def kept(self) -> Recorder:
-        """Give a recorder as this one is between two stimuli; neither changes with the other."""
-        other = copy(self)
-        for name in _CHANGES:
-            setattr(other, name, copy(getattr(self, name)))
-        other._draft = _Draft()  # noqa: SLF001  of the same class
-        other.adapter = self.adapter.kept()
-        other.oracle = self.oracle.fork()
-        return other
 
     # --- what is done -----------------------------------------------------------------------------
 

@@ -206,7 +206,7 @@ PARTS: Final = (
                 "`ecatspec diff A B`, the slowest pair",
                 "s",
                 target=Target(Of.FIGURE, 2.0),
-                why="Nearly all of it is walking both devices to get their tables.",
+                why="The first start walks both devices; later ones find the tables again.",
             ),
         ),
         commands,

@@ -223,8 +223,7 @@ PARTS: Final = (
             _row(
                 "growth-rules-of-one",
                 "time of a check by rules of one input",
-                "No two rules of one input may take it in the same state, so each pair of them is "
-                "compared. The texts that are shipped have at most a few dozen on one input.",
+                "Rules that nothing keeps apart by a constant are compared, each with each.",
             ),
             _row("growth-frames", "time of the monitor by repeated frames", "See the profile."),
         ),

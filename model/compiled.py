@@ -21,7 +21,7 @@ from ecatspec.model.evaluate import (
 from ecatspec.model.functions import PLAIN
 from ecatspec.model.process_image import ProcessImage
 from ecatspec.model.state import Event, RuleName, State
-from ecatspec.model.values import UNKNOWN, Pattern, Value, bits_of
+from ecatspec.model.values import UNKNOWN, Octets, Pattern, Value, bits_of
 from ecatspec.spec.language.ir import (
     Access,
     After,
@@ -526,7 +526,7 @@ class Model:
             content, certain = (n.to_bytes(word.size, "little") for n in (raw, mask))
             if self.assuming:
                 return content
-            return Pattern(lengths=(word.size, word.size), content=content, mask=certain)
+            return Octets((word.size, word.size), content, certain)
 
         return reads
 

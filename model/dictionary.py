@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ecatspec.model.evaluate import Environment, Function
 from ecatspec.model.functions import LONGEST
-from ecatspec.model.values import UNKNOWN, Pattern, Value
+from ecatspec.model.values import UNKNOWN, Numbers, Octets, Pattern, Value
 from ecatspec.spec.language.ir import Access, Bool, Bytes, Literal, ObjectEntry, SInt, Text, UInt
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class ObjectDictionary:
 
     def _highest_told(self, value: int) -> Value:
         """What a device tells; one with entries of its own may have a higher one."""
-        return value if self._exact or self.closed else Pattern(((value, _HIGHEST),))
+        return value if self._exact or self.closed else Numbers(((value, _HIGHEST),))
 
     # --- access -----------------------------------------------------------------------------------
 
@@ -150,7 +150,7 @@ class ObjectDictionary:
         known = self._known(entry, environment)
         if self._exact:
             return len(known or b"")
-        return Pattern(((len(known or b""), most),))
+        return Numbers(((len(known or b""), most),))
 
     def _value_of(
         self, entry: ObjectEntry, environment: Environment, _: tuple[Value, ...]
@@ -164,7 +164,7 @@ class ObjectDictionary:
         if known is None:
             into = None if entry.volatile else (entry.index, entry.subindex)
             content, mask = self._mapping(entry)
-            return Pattern(into=into, lengths=(least, most), content=content, mask=mask)
+            return Octets((least, most), content, mask, into=into)
         if self._exact or not size_varies(entry):
             return known
         # behind a byte string that was written lie zeros, or what was there before
@@ -239,7 +239,7 @@ class ObjectDictionary:
     def _complete_value(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
         index, first = _number(arguments[0]), _number(arguments[1])
         if not (self._exact or self._complete_known(index)):
-            return Pattern(lengths=(0, LONGEST))
+            return Octets((0, LONGEST))
         content, mask = b"", b""
         for entry, size in self._layout(index, first):
             known = bytes(size) if entry.access is Access.WRITE else None
@@ -252,7 +252,7 @@ class ObjectDictionary:
             mask += (b"\0" if known is None else b"\xff") * size
         if self._exact:
             return content
-        return Pattern(lengths=(len(content), len(content)), content=content, mask=mask)
+        return Octets((len(content), len(content)), content, mask)
 
     def _complete_readable(self, environment: Environment, arguments: tuple[Value, ...]) -> Value:
         return self._complete_right(self._readable, environment, arguments)
@@ -320,13 +320,13 @@ class ObjectDictionary:
             counts = (len(self._highest), 0, 0, 0, 0)
             told = b"".join(count.to_bytes(2, "little") for count in counts)
             return told if kind == self._lists["lengths"] else b""
-        return Pattern(lengths=(0, LONGEST))
+        return Octets((0, LONGEST))
 
     def _object_code(self, index: int) -> Value:
         if self._highest.get(index):
             if self._exact:
                 return self._codes["record"]
-            return Pattern(((self._codes["array"], self._codes["record"]),))
+            return Numbers(((self._codes["array"], self._codes["record"]),))
         variable, block = self._codes["variable"], self._codes.get("domain")
         if self._exact:
             return variable
@@ -334,7 +334,7 @@ class ObjectDictionary:
         if not self.closed or entry is None:
             return UNKNOWN  # there may be other entries
         if isinstance(entry.type, Bytes) and block is not None:
-            return Pattern(((variable, variable), (block, block)))
+            return Numbers(((variable, variable), (block, block)))
         return variable
 
     def _data_type(self, entry: ObjectEntry) -> Value:
@@ -344,7 +344,7 @@ class ObjectDictionary:
         if self._exact:
             return known[0] if known else own or 0
         ranges = tuple((number, number) for number in known)
-        return Pattern(ranges if own is None else (*ranges, (own, self._last_type)))
+        return Numbers(ranges if own is None else (*ranges, (own, self._last_type)))
 
     def _bit_length(self, entry: ObjectEntry) -> Value:
         if size_varies(entry) and not self._exact:
@@ -353,7 +353,7 @@ class ObjectDictionary:
             case UInt(width=width) | SInt(width=width):
                 return width
             case Bool() if not self._exact:
-                return Pattern(((1, 1), (_BYTE, _BYTE)))  # a truth may have a byte of its own
+                return Numbers(((1, 1), (_BYTE, _BYTE)))  # a truth may have a byte of its own
             case Bool():
                 return 1
             case _:
@@ -458,13 +458,13 @@ def decode_value(entry: ObjectEntry, data: bytes) -> int:
 
 
 @lru_cache(maxsize=4)
-def _padded(known: bytes, most: int, *, open_end: bool) -> Pattern:
+def _padded(known: bytes, most: int, *, open_end: bool) -> Octets:
     """Give what is known of a byte string of up to `most` bytes.
 
     It is asked for each segment of a transfer, and a long value is copied for it.
     """
     mask = (b"\xff" * len(known)).ljust(most, b"\0") if open_end else None
-    return Pattern(lengths=(len(known), most), content=known.ljust(most, b"\0"), mask=mask)
+    return Octets((len(known), most), known.ljust(most, b"\0"), mask)
 
 
 def _size_allowed(entry: ObjectEntry, size: Value) -> Value:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import operator
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
-from ecatspec.model.values import UNKNOWN, Pattern, Value
+from ecatspec.model.values import UNKNOWN, Numbers, Pattern, Unknown, Value, compatible
 from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.ir import (
     AnyValue,
@@ -121,7 +121,7 @@ def _bounds(
 def _preference(preferred: Getter) -> Getter:
     def preference(environment: Environment) -> Value:
         value = preferred(environment)
-        return Pattern(preferred=value) if isinstance(value, int) else UNKNOWN
+        return Unknown(value) if isinstance(value, int) else UNKNOWN
 
     return preference
 
@@ -214,10 +214,10 @@ def _membership(operand: Getter, bounds: list[tuple[Getter, Getter]]) -> Getter:
     def membership(environment: Environment) -> Value:
         value = operand(environment)
         ranges = _ranges(bounds, environment) if fixed is None else fixed
-        if ranges is UNKNOWN:
+        if isinstance(ranges, Unknown):
             return UNKNOWN  # of a bound nothing is known
         if isinstance(value, Pattern):
-            return UNKNOWN if value.narrowed(ranges) else False
+            return UNKNOWN if compatible(value, ranges) else False
         return ranges.admits(value)
 
     return membership
@@ -240,12 +240,12 @@ def _either(first: Value, second: Value) -> Value:
     ranges = [_as_ranges(value) for value in (first, second)]
     if None in ranges:
         return UNKNOWN
-    return Pattern(tuple(pair for known in ranges for pair in known or ()))
+    return Numbers(tuple(pair for known in ranges for pair in known or ()))
 
 
 def _as_ranges(value: Value) -> tuple[tuple[int, int], ...] | None:
     if isinstance(value, Pattern):
-        return None if value.excluded is not None or value.lengths is not None else value.ranges
+        return value.ranges if isinstance(value, Numbers) and value.excluded is None else None
     return ((value, value),) if type(value) is int else None
 
 
@@ -285,10 +285,10 @@ def _one_of(bounds: list[tuple[Getter, Getter]], excluded: Getter | None) -> Get
 
     def one_of(environment: Environment) -> Value:
         ranges = _ranges(bounds, environment) if fixed is None else fixed
-        if excluded is None:
+        if excluded is None or isinstance(ranges, Unknown):
             return ranges
         without = excluded(environment)
-        return Pattern(ranges.ranges, without if isinstance(without, int) else None)
+        return Numbers(ranges.ranges, without if isinstance(without, int) else None)
 
     return one_of
 
@@ -320,7 +320,7 @@ def remembered(name: str, getter: Getter) -> Getter:
     return remember
 
 
-def _fixed_ranges(bounds: list[tuple[Getter, Getter]]) -> Pattern | None:
+def _fixed_ranges(bounds: list[tuple[Getter, Getter]]) -> Numbers | Unknown | None:
     """Give the ranges where they are the same everywhere."""
     parts = [getattr(getter, "value", None) for pair in bounds for getter in pair]
     if not all(isinstance(part, int) for part in parts):
@@ -328,11 +328,11 @@ def _fixed_ranges(bounds: list[tuple[Getter, Getter]]) -> Pattern | None:
     return _ranges(bounds, Environment((), {}, {}))
 
 
-def _ranges(bounds: list[tuple[Getter, Getter]], environment: Environment) -> Pattern:
+def _ranges(bounds: list[tuple[Getter, Getter]], environment: Environment) -> Numbers | Unknown:
     ranges = []
     for low, high in bounds:
         bottom, top = low(environment), high(environment)
         if not isinstance(bottom, int) or not isinstance(top, int):
             return UNKNOWN
         ranges.append((bottom, top))
-    return Pattern(tuple(ranges))
+    return Numbers(tuple(ranges))

@@ -15,7 +15,7 @@ from ecatspec.model.interpreter import expected_fields, later_fields
 from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS
 from ecatspec.model.shown import layout
-from ecatspec.model.values import Pattern, Value, concrete, is_any
+from ecatspec.model.values import Numbers, Octets, Pattern, Unknown, Value, concrete, ranges_of
 from ecatspec.spec.language.ir import Bytes, Literal
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _ALL: Final = -1
 _SOME: Final = 16
 """Bytes of a content that is long enough for no layout to treat it specially."""
 _ENDS: Final = (b"\0", b"\xff")
-_ANY_BYTES: Final = Pattern(lengths=(0, 1 << 16))
+_ANY_BYTES: Final = Octets((0, 1 << 16))
 """A string of bytes of which nothing is said."""
 
 
@@ -86,9 +86,9 @@ def message_forms(
     """
     fields = expected_fields(model, state, output)
     fields |= {
-        name: Pattern(lengths=(length, length))
+        name: Octets((length, length))
         for name, length in _lengths(model, output.frame).items()
-        if name in fields and is_any(fields[name])
+        if name in fields and isinstance(fields[name], Unknown)
     }
     fields[unseen] = _chosen(fields[unseen], observed.get(unseen))
     undecided = _undecided(model, state, output, unseen)
@@ -101,7 +101,7 @@ def message_forms(
             whole = some | more
             full = {name: _chosen(value, observed.get(name)) for name, value in whole.items()}
             yield from _forms(model, output.frame, whole, full)
-            if any(isinstance(value, Pattern) and value.ranges for value in some.values()):
+            if any(map(ranges_of, some.values())):
                 # of what follows from a number that may be another one only that it is there
                 loose = {name: _ANY_BYTES if _is_bytes(late[name]) else late[name] for name in late}
                 yield from _forms(model, output.frame, some | loose, full)
@@ -148,16 +148,18 @@ def _combined(fields: Mapping[_K, Value]) -> Iterator[dict[_K, Value]]:
 
 def _few(value: Value) -> list[Value] | None:
     """Give the numbers as blocks in which the lowest bits may be anything, if they are few."""
-    if not isinstance(value, Pattern) or value.ranges is None:
+    ranges = ranges_of(value)
+    if ranges is None:
         return None
+    excluded = value.excluded if isinstance(value, Numbers) else None
     found: list[Value] = []
-    for span in value.ranges:
-        for low, high in _around(span, value.excluded):
+    for span in ranges:
+        for low, high in _around(span, excluded):
             for block in _blocks(low, high):
                 if len(found) == _FEW:
                     return None
                 first, last = block
-                found.append(first if first == last else Pattern(ranges=(block,)))
+                found.append(first if first == last else Numbers((block,)))
     return found
 
 
@@ -178,16 +180,17 @@ def _blocks(low: int, high: int) -> Iterator[tuple[int, int]]:
         low += size
 
 
-def _loose(value: Pattern) -> int:
+def _loose(value: Value) -> int:
     """Give the bits of a number that may be anything: those of a block, or all."""
-    if value.ranges is None or len(value.ranges) > 1:
+    ranges = ranges_of(value)
+    if ranges is None or len(ranges) > 1:
         return _ALL
-    (block,) = value.ranges
+    (block,) = ranges
     return block[0] ^ block[1] if [block] == [*_blocks(*block)] else _ALL
 
 
 def _is_bytes(value: Value) -> bool:
-    return isinstance(value, bytes) or (isinstance(value, Pattern) and value.lengths is not None)
+    return isinstance(value, bytes | Octets)
 
 
 def _chosen(value: Value, observed: Value | None) -> Value:
@@ -213,7 +216,7 @@ def _forms(
     ]
     yield Form(len(data), raw, tuple(free))
     for name, value in fields.items():
-        if isinstance(value, Pattern) and value.lengths and len(set(value.lengths)) > 1:
+        if isinstance(value, Octets) and len(set(value.lengths)) > 1:
             start = model.codec.start(frame, name)
             if start is None:
                 continue  # what is open before it says it
@@ -222,7 +225,7 @@ def _forms(
                 for counted in model.codec.field_names(frame)
                 if model.codec.is_derived(frame, counted)
             )
-            longest = {**chosen, name: b"" if value is _ANY_BYTES else value.longest()}
+            longest = {**chosen, name: b"" if value is _ANY_BYTES else value.taken()}
             most = model.codec.encode(frame, longest)
             unsaid = _unsaid(model, frame, longest, name, value)
             # what the encoder makes of the content is another for another length
@@ -240,12 +243,10 @@ def _forms(
 
 def _of_bytes(model: Model, frame: str, name: str, value: Value) -> Value:
     """Give what is said of a field; of a string of which nothing is said that it is one."""
-    return _ANY_BYTES if is_any(value) and model.codec.is_bytes(frame, name) else value
+    return _ANY_BYTES if isinstance(value, Unknown) and model.codec.is_bytes(frame, name) else value
 
 
-def _unsaid(
-    model: Model, frame: str, chosen: Mapping[str, Value], name: str, value: Pattern
-) -> int:
+def _unsaid(model: Model, frame: str, chosen: Mapping[str, Value], name: str, value: Value) -> int:
     """Give the bits of a field that may be anything, as far as it is as long as chosen."""
     content = chosen[name]
     if not isinstance(content, bytes):
@@ -253,7 +254,7 @@ def _unsaid(
         bits = model.codec.bits(frame, name) if loose == _ALL else None
         return bits or _changed(model, frame, chosen, name, (0, loose))
     known = bytes(len(content))
-    if value.content is not None:
+    if isinstance(value, Octets) and value.content is not None:
         mask = value.mask or b"\xff" * len(value.content)
         known = mask[: len(content)].ljust(len(content), b"\0")
     flipped = bytes(byte ^ ~sure & 0xFF for byte, sure in zip(content, known, strict=True))
@@ -316,7 +317,7 @@ def input_form(model: Model, state: State, data: bytes) -> Form:
         if shown is None or mapped.offset + mapped.bits > len(data) * _BYTE:
             continue
         said = shown(environment)
-        if isinstance(said, Pattern):
+        if isinstance(said, Octets):
             content = said.content or b""
             mask = int.from_bytes(said.mask or b"\xff" * len(content), "little")
         else:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from ecatspec.model.values import UNKNOWN, Pattern, Value
+from msgspec import structs
+
+from ecatspec.model.values import UNKNOWN, Octets, Pattern, Value
 
 if TYPE_CHECKING:
     from ecatspec.model.evaluate import Function
@@ -17,25 +18,29 @@ LONGEST = 1 << 32
 def _join(first: Value, second: Value) -> Value:
     if isinstance(first, bytes) and isinstance(second, bytes):
         return first + second
-    if not isinstance(first, bytes) or not isinstance(second, Pattern) or second.lengths is None:
+    if not isinstance(first, bytes) or not isinstance(second, Octets):
         return UNKNOWN
     least, most = (len(first) + length for length in second.lengths)
     if second.content is None:
         # what follows is not known: any bytes, as many as there may be at all
-        return Pattern(lengths=(least, most), content=first, mask=b"\xff" * len(first))
+        return Octets((least, most), first, b"\xff" * len(first))
     mask = None if second.mask is None else b"\xff" * len(first) + second.mask
-    return Pattern(lengths=(least, most), content=first + second.content, mask=mask)
+    return Octets((least, most), first + second.content, mask)
 
 
 def _piece(data: Value, offset: Value, least: Value, most: Value) -> Value:
     if not isinstance(offset, int) or not isinstance(least, int):
-        return Pattern(lengths=(0, LONGEST))
-    high = most if isinstance(most, int) else LONGEST
-    if isinstance(data, bytes):
-        data = Pattern(lengths=(len(data), len(data)), content=data)
-    if not isinstance(data, Pattern):
-        return UNKNOWN
-    return data.piece(offset, least, max(0, high))
+        return Octets((0, LONGEST))
+    high = max(0, most) if isinstance(most, int) else LONGEST
+    match data:
+        case bytes():
+            return Octets((len(data), len(data)), data).piece(offset, least, high)
+        case Octets():
+            return data.piece(offset, least, high)
+        case Pattern():
+            return Octets((least, high))
+        case _:
+            return UNKNOWN
 
 
 def _cut(data: Value, count: Value) -> Value:
@@ -66,7 +71,8 @@ def _numbered(data: Value, least: Value, most: Value, other: Value) -> Value:
     if not isinstance(least, int) or not isinstance(most, int) or not isinstance(other, int):
         return data
     more = () if least <= other <= most else ((other, other),)
-    return replace(data, ranges=((least, most), *more), lengths=data.lengths or (0, LONGEST))
+    octets = data if isinstance(data, Octets) else Octets((0, LONGEST))
+    return structs.replace(octets, ranges=((least, most), *more))
 
 
 PLAIN: dict[str, Function] = {

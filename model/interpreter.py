@@ -9,7 +9,7 @@ from ecatspec.model.evaluate import Environment, before
 from ecatspec.model.once import once
 from ecatspec.model.process_image import OUTPUTS, taken
 from ecatspec.model.state import Alarm, Event, Output, RuleName, State, Step
-from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, bits_of
+from ecatspec.model.values import UNKNOWN, Octets, Pattern, Value, admits, bits_of
 from ecatspec.spec.language.ir import Bool
 from ecatspec.spec.language.scope import CYCLIC, REPLY
 
@@ -202,7 +202,7 @@ def _stored(
     elif isinstance(content, bytes):
         parts = list(model.dictionary.split(environment, index, subindex, content))
     else:
-        lengths = content.lengths if isinstance(content, Pattern) else None
+        lengths = content.lengths if isinstance(content, Octets) else None
         most = None if lengths is None else lengths[1]
         parts = [(key, UNKNOWN) for key in model.dictionary.written_from(index, subindex, most)]
     events: list[Event] = []
@@ -339,7 +339,7 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
         into = keeps.get(name)
         if into is not None:
             after = after.having(model.slots[into], observed)
-        if isinstance(value, Pattern) and isinstance(value.into, tuple):
+        if isinstance(value, Octets) and value.into is not None:
             after = after.keeping(value.into, observed if isinstance(observed, bytes) else b"")
     return afterwards(model, after, output, message.fields)
 

@@ -18,7 +18,7 @@ from ecatspec.model.interpreter import DELIVER, RESEND
 from ecatspec.model.once import once
 from ecatspec.model.process_image import OUTPUTS
 from ecatspec.model.state import RuleName
-from ecatspec.model.values import UNKNOWN, Pattern
+from ecatspec.model.values import UNKNOWN, Numbers, Pattern, Unknown
 from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Gap, Input, Machine, Protocol, Rule
 
-_UNDECLARED: Final = Pattern()
+_UNDECLARED: Final = Unknown()
 """An index that no text declares, or a subindex that none declares of its object."""
 _ENTRY: Final = ("index", "subindex")
 """How the parameters of inputs are named that say which entry is meant."""
@@ -195,7 +195,7 @@ class _Reach:
         slots = list(self._slots)
         for name, reached in self._states.items():
             values = {state} if name == machine else reached
-            among = Pattern(tuple((value, value) for value in sorted(values)))
+            among = Numbers(tuple((value, value) for value in sorted(values)))
             one = min(values) if len(values) == 1 else among
             slots[self._model.slots[f"{name}.state"]] = one
         return tuple(slots)

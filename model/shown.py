@@ -10,7 +10,7 @@ from ecatspec.model.evaluate import Environment
 from ecatspec.model.interpreter import fields_with_before
 from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, Mapped, taken
-from ecatspec.model.values import Pattern, Value, admits, bits_of, is_any
+from ecatspec.model.values import Pattern, Unknown, Value, admits, bits_of
 from ecatspec.model.words import register_words
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def shown_fields(model: Model, state: State, name: str) -> dict[str, Value]:
     """Give the fields of a word of which a state says something."""
     environment = Environment(state.slots, state.known(), {})
     shown = {view.name: view.present(environment) for view in model.views[name]}
-    return {field: value for field, value in shown.items() if not is_any(value)}
+    return {field: value for field, value in shown.items() if not isinstance(value, Unknown)}
 
 
 @once

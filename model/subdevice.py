@@ -26,7 +26,7 @@ from ecatspec.model.once import once
 from ecatspec.model.process_image import INPUTS, placed
 from ecatspec.model.shown import definitely, layout
 from ecatspec.model.state import Event, Output, State, Step
-from ecatspec.model.values import Pattern, Value, concrete
+from ecatspec.model.values import Pattern, Value, any_open, concrete
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE
 
@@ -308,7 +308,7 @@ class VirtualSubDevice:
             self._send(following.outputs)
 
     def _settle(self, state: State) -> None:
-        if Pattern in map(type, state.slots):
+        if any_open(state.slots):
             state = state.holding(tuple(None if v is None else concrete(v) for v in state.slots))
         if state != self.state:
             self.state = state

@@ -1,51 +1,97 @@
-"""The only place for values of the model: concrete ones, unknown ones, and acceptable sets."""
+"""Values of the model: concrete ones, and what is known of one that is not."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from msgspec import Struct
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 ObjectKey: TypeAlias = tuple[int, int]
+Ranges: TypeAlias = "tuple[tuple[int, int], ...]"
 
 
-@dataclass(frozen=True, slots=True)
 class Pattern:
-    """What a value may be: one of `ranges` (None: anything) but not `excluded`.
+    """What is known of a value that is not concrete: `Unknown`, `Numbers` or `Octets`."""
 
-    With `lengths` it is a byte string of so many bytes (least, most) that begins like `content`
-    (None: anything), with `ranges` too one that is such a number, its lowest byte first; where
-    `mask` has a zero bit the content is not known. `into` names where the observed value goes: a
-    slot of the state or an object. `preferred` is what the model takes where it has to act itself.
-    """
-
-    ranges: tuple[tuple[int, int], ...] | None = None
-    excluded: int | None = None
-    into: str | ObjectKey | None = None
-    lengths: tuple[int, int] | None = None
-    content: bytes | None = None
-    mask: bytes | None = None
-    preferred: int | None = None
+    # a plain class: to ask for it takes half as long as to ask for a struct
+    __slots__ = ()
 
     def admits(self, value: Value) -> bool:
         """Tell whether the concrete `value` is acceptable."""
-        if self.lengths is not None:
-            return isinstance(value, bytes) and self._admits_bytes(value, self.lengths)
-        if self.ranges is None:
-            return True
+        raise NotImplementedError
+
+    def taken(self, after: int = -1) -> Value:
+        """Give what the model takes where it has to act itself; `after` as for `Numbers`."""
+        raise NotImplementedError
+
+
+class Unknown(Pattern, Struct, frozen=True, cache_hash=True):
+    """Anything; `preferred` is what the model takes where it has to act itself."""
+
+    preferred: int | None = None
+
+    def admits(self, value: Value) -> bool:  # noqa: ARG002
+        """Everything is acceptable."""
+        return True
+
+    def taken(self, after: int = -1) -> int:  # noqa: ARG002
+        """Give what is preferred, or 0."""
+        return 0 if self.preferred is None else self.preferred
+
+
+class Numbers(Pattern, Struct, frozen=True, cache_hash=True):
+    """A number of one of `ranges`, but not `excluded`."""
+
+    ranges: Ranges
+    excluded: int | None = None
+
+    def admits(self, value: Value) -> bool:
+        """Tell whether `value` is such a number."""
         if isinstance(value, bytes | str | Pattern):
             return False
-        if value == self.excluded:
-            return False
-        for low, high in self.ranges:  # noqa: SIM110  it is asked often, and a loop is faster
-            if low <= value <= high:
-                return True
-        return False
+        return value != self.excluded and _within(value, self.ranges)
 
-    def _admits_bytes(self, value: bytes, lengths: tuple[int, int]) -> bool:
-        if not lengths[0] <= len(value) <= lengths[1]:
+    def taken(self, after: int = -1) -> int:
+        """Give the number named first; with `after` the next one above it, or the smallest."""
+        if after < 0 and self.ranges and self.ranges[0][0] != self.excluded:
+            return self.ranges[0][0]
+        wanted = [n for n in (self._from(after + 1), self._from(0)) if n is not None]
+        if not wanted:
+            raise ValueError(f"no number is acceptable in {self}")
+        return wanted[0]
+
+    def _from(self, least: int) -> int | None:
+        candidates = []
+        for low, high in self.ranges:
+            number = max(low, least)
+            if number == self.excluded:
+                number += 1
+            if number <= high:
+                candidates.append(number)
+        return min(candidates, default=None)
+
+
+class Octets(Pattern, Struct, frozen=True, cache_hash=True):
+    """A byte string of `lengths` bytes (least, most) that begins like `content` (None: anything).
+
+    Where `mask` has a zero bit the content is not known. With `ranges` it is one of these numbers,
+    its lowest byte first. `into` is the object that has the observed value then.
+    """
+
+    lengths: tuple[int, int]
+    content: bytes | None = None
+    mask: bytes | None = None
+    ranges: Ranges | None = None
+    into: ObjectKey | None = None
+
+    def admits(self, value: Value) -> bool:
+        """Tell whether `value` is such a byte string."""
+        if not isinstance(value, bytes) or not self.lengths[0] <= len(value) <= self.lengths[1]:
             return False
-        number = int.from_bytes(value, "little") if self.ranges is not None else 0
-        if not any(low <= number <= high for low, high in self.ranges or ((0, 0),)):
+        if self.ranges is not None and not _within(int.from_bytes(value, "little"), self.ranges):
             return False
         if self.content is None:
             return True
@@ -58,59 +104,48 @@ class Pattern:
         )
         return not (seen ^ wanted) & certain
 
-    def first(self, after: int = -1) -> int:
-        """Give the number named first; with `after` the next one above it, or the smallest."""
-        if self.ranges is None:
-            return 0 if self.preferred is None else self.preferred
-        if after < 0 and self.ranges and self.ranges[0][0] != self.excluded:
-            return self.ranges[0][0]
-        wanted = [n for n in (self._from(after + 1), self._from(0)) if n is not None]
-        if not wanted:
-            raise ValueError(f"no number is acceptable in {self}")
-        return wanted[0]
-
-    def longest(self) -> bytes:
-        """Give the longest acceptable byte string."""
-        least, most = self.lengths or (0, 0)
+    def taken(self, after: int = -1) -> bytes:  # noqa: ARG002
+        """Give the longest of them."""
+        least, most = self.lengths
         return (self.content or b"")[:most].ljust(least, b"\0")
 
-    def _from(self, least: int) -> int | None:
-        candidates = []
-        for low, high in self.ranges or ():
-            number = max(low, least)
-            if number == self.excluded:
-                number += 1
-            if number <= high:
-                candidates.append(number)
-        return min(candidates, default=None)
-
-    def narrowed(self, other: Pattern) -> bool:
-        """Tell whether some value is acceptable to both."""
-        if self.ranges is None or other.ranges is None:
-            return True
-        return any(
-            low <= top and bottom <= high
-            for low, high in self.ranges
-            for bottom, top in other.ranges
-        )
-
-    def piece(self, offset: int, least: int, most: int) -> Pattern:
+    def piece(self, offset: int, least: int, most: int) -> Octets:
         """Give what a piece of such a byte string may be, `least` to `most` bytes long.
 
         Where fewer bytes are left than `least`, those; where `least` is more than `most`, nothing.
         """
         if least > most:
-            return Pattern(lengths=(least, most))
-        if self.lengths is not None:
-            most = min(most, max(0, self.lengths[1] - offset))
+            return Octets((least, most))
+        most = min(most, max(0, self.lengths[1] - offset))
         end = offset + most  # what lies behind may be long, and is copied with each piece
         content = None if self.content is None else self.content[offset:end]
         mask = None if self.mask is None else self.mask[offset:end]
-        return Pattern(lengths=(min(least, most), most), content=content, mask=mask)
+        return Octets((min(least, most), most), content, mask)
 
 
-Value: TypeAlias = "int | bool | bytes | str | Pattern"
-UNKNOWN = Pattern()
+Value: TypeAlias = "int | bool | bytes | str | Unknown | Numbers | Octets"
+UNKNOWN: Final = Unknown()
+_PATTERNS: Final = frozenset({Unknown, Numbers, Octets})
+
+
+def _within(number: int, ranges: Ranges) -> bool:
+    for low, high in ranges:  # noqa: SIM110  it is asked often, and a loop is faster
+        if low <= number <= high:
+            return True
+    return False
+
+
+def ranges_of(value: Value) -> Ranges | None:
+    """Give the ranges of a number or of a byte string that is one; None: none are stated."""
+    return value.ranges if isinstance(value, Numbers | Octets) else None
+
+
+def compatible(one: Value, other: Value) -> bool:
+    """Tell whether some value is acceptable to both, as far as ranges of numbers show it."""
+    first, second = ranges_of(one), ranges_of(other)
+    if first is None or second is None:
+        return True
+    return any(low <= top and bottom <= high for low, high in first for bottom, top in second)
 
 
 def bits_of(raw: int, low: int, high: int) -> int:
@@ -125,13 +160,11 @@ def admits(expected: Value, observed: Value) -> bool:
     return expected == observed
 
 
-def is_any(value: Value) -> bool:
-    """Tell whether nothing is said of the value."""
-    return isinstance(value, Pattern) and value.ranges is None and value.lengths is None
+def any_open(values: Iterable[Value | None]) -> bool:
+    """Tell whether one of the values is not concrete."""
+    return not _PATTERNS.isdisjoint(map(type, values))
 
 
 def concrete(value: Value, after: int = -1) -> Value:
     """Give a value that a device may send where `value` is what is acceptable."""
-    if not isinstance(value, Pattern):
-        return value
-    return value.first(after) if value.lengths is None else value.longest()
+    return value.taken(after) if isinstance(value, Pattern) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from ecatspec.model.values import Pattern, Value
+from ecatspec.model.values import Numbers, Octets, Pattern, Unknown, Value
 from ecatspec.spec.language.ir import Bool, Named, SInt, Type, UInt
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _EXCESS = "excess"
 def typed_words(model: Model, kind: Type, value: Value) -> str:
     """Say a value of a type: hexadecimal as wide as the type, with its name where it has one."""
     match value:
-        case Pattern(lengths=(least, most), content=content, mask=mask, ranges=ranges):
+        case Octets((least, most), content, mask, ranges):
             count = f"{least} to {most} bytes" if least < most else f"{most} bytes"
             if ranges is not None:
                 parts = [f"{low}" if low == high else f"{low}..{high}" for low, high in ranges]
@@ -44,11 +44,11 @@ def typed_words(model: Model, kind: Type, value: Value) -> str:
             sure = None if mask is None else mask[: len(start)].ljust(len(start), b"\0")
             words = bytes_words(start, sure)
             return words if least == len(start) else f"{words} of {count}"
-        case Pattern(ranges=None):
+        case Unknown():
             return "any"
-        case Pattern(ranges=ranges, excluded=excluded):
+        case Numbers(ranges, excluded):
             parts = []
-            for low, high in ranges or ():
+            for low, high in ranges:
                 first = typed_words(model, kind, low)
                 parts.append(first if low == high else f"{first}..{typed_words(model, kind, high)}")
             words = " or ".join(parts)

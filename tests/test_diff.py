@@ -43,7 +43,7 @@ from ecatspec.model.compared import Effect, compare_facts, judged
 from ecatspec.model.compiled import Model
 from ecatspec.model.facts import TITLES, Fact, Kind, Section, facts
 from ecatspec.model.mealy import from_rows
-from ecatspec.model.values import Pattern
+from ecatspec.model.values import Numbers
 from ecatspec.spec.language.load import device_names, load_device, load_standard
 
 if TYPE_CHECKING:
@@ -206,7 +206,7 @@ def seen(*values: object) -> Seen:
 
 
 def test_answers_go_together_where_one_is_allowed_on_both_sides() -> None:
-    some, few = Pattern(((1, 1), (3, 3))), Pattern(((3, 4),))
+    some, few = Numbers(((1, 1), (3, 3))), Numbers(((3, 4),))
     assert graded(seen(1), seen(1)) == (Grade.SAME, ())
     assert graded(seen(1), seen(2)) == (Grade.OTHER, ("0",))
     assert graded(seen(some), seen(3)) == (Grade.FREER, ("0",))

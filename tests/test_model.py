@@ -25,7 +25,16 @@ from ecatspec.model.process_image import OUTPUTS
 from ecatspec.model.state import Event, State
 from ecatspec.model.subdevice import Quirk, VirtualSubDevice
 from ecatspec.model.terms import counted
-from ecatspec.model.values import UNKNOWN, Pattern, Value, admits, concrete, is_any
+from ecatspec.model.values import (
+    UNKNOWN,
+    Numbers,
+    Octets,
+    Pattern,
+    Unknown,
+    Value,
+    admits,
+    concrete,
+)
 from ecatspec.model.words import typed_words
 from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, In, Literal, Name, Range, SInt, Unary
@@ -214,8 +223,8 @@ def call(name: str, *arguments: Value) -> Value:
     return PLAIN[name](Environment((), {}, {}), arguments)
 
 
-def known(content: bytes) -> Pattern:
-    return Pattern(lengths=(len(content), len(content)), content=content)
+def known(content: bytes) -> Octets:
+    return Octets((len(content), len(content)), content)
 
 
 @given(
@@ -237,7 +246,7 @@ def test_a_piece_of_what_is_known_admits_exactly_its_slices(
     assert all(piece.admits(part) for part in slices)
     assert piece.admits(seen) == (seen in slices)
     if slices:
-        assert piece.longest() == content[offset : offset + top]
+        assert piece.taken() == content[offset : offset + top]
     assert piece == call("piece", known(content), offset, least, most)
 
 
@@ -248,7 +257,7 @@ def test_a_mask_leaves_bytes_open(content: bytes, data: st.DataObject) -> None:
     )
     mask = bytes(255 if sure else 0 for sure in certain)
     size = (len(content), len(content))
-    pattern = Pattern(lengths=size, content=content, mask=mask)
+    pattern = Octets(size, content, mask)
     seen = data.draw(st.binary(min_size=len(content), max_size=len(content)), "seen")
     same = all(a == b for a, b, sure in zip(seen, content, certain, strict=True) if sure)
     assert pattern.admits(seen) == same
@@ -266,7 +275,7 @@ def test_join_with_what_is_known_in_part(first: bytes, second: bytes, seen: byte
     joined = call("join", first, known(second))
     assert isinstance(joined, Pattern)
     assert joined.admits(seen) == (seen == first + second)
-    open_end = call("join", first, Pattern(lengths=(0, 5)))
+    open_end = call("join", first, Octets((0, 5)))
     assert isinstance(open_end, Pattern)
     fits = seen.startswith(first) and len(seen) <= len(first) + 5
     assert open_end.admits(seen) == fits
@@ -286,7 +295,7 @@ def test_functions_of_known_and_unknown_values() -> None:
     assert call("word", UNKNOWN) == UNKNOWN
     assert call("length", b"abc") == 3
     assert call("length", UNKNOWN) == UNKNOWN
-    assert call("piece", UNKNOWN, 0, 1, 5) == Pattern(lengths=(1, 5))
+    assert call("piece", UNKNOWN, 0, 1, 5) == Octets((1, 5))
     unsure = call("piece", b"abc", UNKNOWN, 0, 2)
     assert isinstance(unsure, Pattern)
     assert unsure.admits(b"whatever it is")
@@ -305,27 +314,24 @@ def test_of_an_object_that_is_not_known_nothing_is(name: str, *, closed: bool) -
     model = Model(load_device("reference"), closed=closed)
     function = model.dictionary.functions[name]
     environment = Environment(model.initial.slots, {}, {})
-    assert is_any(function(environment, (UNKNOWN, 0, b"")))
+    assert isinstance(function(environment, (UNKNOWN, 0, b"")), Unknown)
 
 
 def test_what_a_device_takes_where_it_is_free() -> None:
-    assert Pattern(preferred=7).first() == 7
-    assert Pattern(preferred=7).admits(3)
-    assert Pattern(lengths=(2, 5)).longest() == bytes(2)
-    assert Pattern(lengths=(2, 5), content=b"a").longest() == b"a\0"
-    assert Pattern(lengths=(0, 3), content=b"abcdef").longest() == b"abc"
-    assert Pattern(lengths=(0, 3)).longest() == b""
-    assert [concrete(v) for v in (5, b"a", Pattern(((3, 4),)), known(b"ab"))] == [5, b"a", 3, b"ab"]
-    assert is_any(UNKNOWN)
-    assert is_any(Pattern(preferred=1))
-    assert not is_any(Pattern(lengths=(0, 1)))
-    assert not Pattern(lengths=(0, 9)).admits(5)
+    assert Unknown(7).taken() == 7
+    assert Unknown(7).admits(3)
+    assert Octets((2, 5)).taken() == bytes(2)
+    assert Octets((2, 5), b"a").taken() == b"a\0"
+    assert Octets((0, 3), b"abcdef").taken() == b"abc"
+    assert Octets((0, 3)).taken() == b""
+    assert [concrete(v) for v in (5, b"a", Numbers(((3, 4),)), known(b"ab"))] == [5, b"a", 3, b"ab"]
+    assert not Octets((0, 9)).admits(5)
 
 
 # --- values ---------------------------------------------------------------------------------------
 
 PATTERNS = st.builds(
-    Pattern,
+    Numbers,
     st.lists(
         st.tuples(st.integers(0, 12), st.integers(0, 12)).map(lambda p: (min(p), max(p))),
         min_size=1,
@@ -336,30 +342,30 @@ PATTERNS = st.builds(
 
 
 @given(pattern=PATTERNS, value=st.integers(-2, 15))
-def test_a_pattern_admits_its_ranges_without_the_excluded(pattern: Pattern, value: int) -> None:
-    members = {n for low, high in pattern.ranges or () for n in range(low, high + 1)}
+def test_a_pattern_admits_its_ranges_without_the_excluded(pattern: Numbers, value: int) -> None:
+    members = {n for low, high in pattern.ranges for n in range(low, high + 1)}
     assert pattern.admits(value) == (value in members - {pattern.excluded})
     assert admits(pattern, value) == pattern.admits(value)
 
 
 @given(pattern=PATTERNS, after=st.integers(-2, 15))
-def test_the_first_value_is_the_next_one_or_wraps(pattern: Pattern, after: int) -> None:
+def test_the_first_value_is_the_next_one_or_wraps(pattern: Numbers, after: int) -> None:
     members = sorted(n for n in range(13) if pattern.admits(n))
     if not members:
         with pytest.raises(ValueError, match="no number is acceptable"):
-            pattern.first(after)
+            pattern.taken(after)
         return
     above = [n for n in members if n > after]
-    named = (pattern.ranges or ((0, 0),))[0][0]
+    named = pattern.ranges[0][0]
     first = named if after < 0 and named in members else (above or members)[0]
-    assert pattern.first(after) == first
+    assert pattern.taken(after) == first
 
 
 def test_an_unknown_value_admits_everything_and_a_pattern_no_text() -> None:
     assert all(UNKNOWN.admits(value) for value in (0, True, b"", "stay"))
-    assert not Pattern(((0, 9),)).admits(b"\0")
-    assert not Pattern(((0, 9),)).admits("stay")
-    assert UNKNOWN.first() == 0
+    assert not Numbers(((0, 9),)).admits(b"\0")
+    assert not Numbers(((0, 9),)).admits("stay")
+    assert UNKNOWN.taken() == 0
 
 
 # --- complete access ------------------------------------------------------------------------------
@@ -500,9 +506,9 @@ def test_not_turns_the_order_round(a: Value) -> None:
 def test_comparisons_with_what_is_not_known() -> None:
     equal = Binary("==", Name("a"), Literal(5))
     assert truth(equal, UNKNOWN) == UNKNOWN
-    assert truth(equal, Pattern(((1, 3),))) is False
-    assert truth(equal, Pattern(((1, 9),))) == UNKNOWN
-    assert truth(Binary("!=", Name("a"), Literal(5)), Pattern(((1, 3),))) is True
+    assert truth(equal, Numbers(((1, 3),))) is False
+    assert truth(equal, Numbers(((1, 9),))) == UNKNOWN
+    assert truth(Binary("!=", Name("a"), Literal(5)), Numbers(((1, 3),))) is True
     assert truth(Binary("<", Name("a"), Literal(5)), UNKNOWN) == UNKNOWN
     assert truth(Binary("+", Name("a"), Literal(5)), 2) == 7
 
@@ -882,16 +888,16 @@ def test_a_register_of_the_device_takes_no_write() -> None:
 @pytest.mark.parametrize(
     ("expected", "words"),
     [
-        (Pattern(), "any"),
-        (Pattern(lengths=(2, 2)), "any 2 bytes"),
-        (Pattern(lengths=(1, 4)), "any 1 to 4 bytes"),
-        (Pattern(lengths=(2, 2), content=b"\x40\x02"), "40 02"),
-        (Pattern(lengths=(2, 2), content=b"\x40\x02", mask=b"\x6f\x00"), "40/6F ??"),
-        (Pattern(lengths=(2, 2), content=b"\x40\x02", mask=b"\xff"), "40 ??"),
-        (Pattern(lengths=(1, 2), content=b"\x40\x02\x05"), "40 02 of 1 to 2 bytes"),
+        (UNKNOWN, "any"),
+        (Octets((2, 2)), "any 2 bytes"),
+        (Octets((1, 4)), "any 1 to 4 bytes"),
+        (Octets((2, 2), b"\x40\x02"), "40 02"),
+        (Octets((2, 2), b"\x40\x02", b"\x6f\x00"), "40/6F ??"),
+        (Octets((2, 2), b"\x40\x02", b"\xff"), "40 ??"),
+        (Octets((1, 2), b"\x40\x02\x05"), "40 02 of 1 to 2 bytes"),
     ],
 )
-def test_what_is_known_of_bytes_is_said(expected: Pattern, words: str) -> None:
+def test_what_is_known_of_bytes_is_said(expected: Unknown | Octets, words: str) -> None:
     assert typed_words(MODEL, Bytes(None), expected) == words
 
 

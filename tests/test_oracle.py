@@ -41,7 +41,7 @@ from ecatspec.model.esc import SYNC_MANAGERS
 from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.state import Event, Output, RuleName, Step
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import Pattern, concrete
+from ecatspec.model.values import UNKNOWN, Octets, Pattern, Unknown, concrete
 from ecatspec.spec.language.ir import Bytes, Pin
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import ConditionRef, frame_fields
@@ -740,21 +740,21 @@ class Whimsical(VirtualSubDevice):
         taken = concrete(value, after)
         if not isinstance(value, Pattern):
             return taken
-        if value.lengths is not None:
+        if isinstance(value, Octets):
             assert isinstance(taken, bytes)
             return taken[: self.dice.choice((len(taken), self.dice.randint(*self._few(value))))]
-        if value.ranges is None:
+        if isinstance(value, Unknown):
             return self.dice.choice((taken, self.dice.randint(0, 1)))
         drawn = self.dice.randint(*self.dice.choice(value.ranges))
         return taken if drawn == value.excluded else drawn
 
-    def _few(self, value: Pattern) -> tuple[int, int]:
-        most = len(value.longest())
-        return min(most, (value.lengths or (0, 0))[0]), most
+    def _few(self, value: Octets) -> tuple[int, int]:
+        most = len(value.taken())
+        return min(most, value.lengths[0]), most
 
     def _concrete(self, fields: dict[str, Value], frame: str) -> dict[str, Value]:
         kinds = frame_fields(self.model.protocol, frame)
-        bodies = {n for n, v in fields.items() if isinstance(kinds[n], Bytes) and v == Pattern()}
+        bodies = {n for n, v in fields.items() if isinstance(kinds[n], Bytes) and v == UNKNOWN}
         given = fields | {name: self.dice.randbytes(self.dice.randint(1, 4)) for name in bodies}
         return super()._concrete(given, frame)
 

@@ -48,7 +48,7 @@ from ecatspec.generators.token import case_of, check, from_data, to_data, token_
 from ecatspec.generators.walks import walk
 from ecatspec.model.compiled import Model
 from ecatspec.model.esc import SYNC_MANAGERS
-from ecatspec.model.values import Pattern
+from ecatspec.model.values import UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -274,7 +274,7 @@ def test_a_token_of_an_earlier_edition_is_read() -> None:
 
 
 def test_what_is_no_number_and_no_bytes_has_no_token() -> None:
-    odd = replace(PLAIN, stimuli=(SendFrame("mailbox", {"payload": Pattern()}), Probe()))
+    odd = replace(PLAIN, stimuli=(SendFrame("mailbox", {"payload": UNKNOWN}), Probe()))
     with pytest.raises(ValueError, match="'payload'"):
         token_of(odd)
 

@@ -20,7 +20,7 @@ from ecatspec.model.facts import Section
 from ecatspec.model.interpreter import rule_clauses
 from ecatspec.model.mealy import alike
 from ecatspec.model.once import once
-from ecatspec.model.values import Pattern, admits
+from ecatspec.model.values import Pattern, admits, compatible
 from ecatspec.spec.language.ir import Name
 from ecatspec.spec.language.scope import nodes_in
 
@@ -70,7 +70,7 @@ def _grade(one: Value, other: Value) -> Grade:
         return Grade.SAME
     match one, other:
         case Pattern(), Pattern():
-            common = one.narrowed(other)
+            common = compatible(one, other)
         case Pattern(), _:
             common = admits(one, other)
         case _:

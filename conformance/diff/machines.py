@@ -36,7 +36,7 @@ from ecatspec.model.mealy import Mealy, minimise
 from ecatspec.model.process_image import INPUTS
 from ecatspec.model.shown import layout, shown_fields, shown_register
 from ecatspec.model.subdevice import Snapshot, VirtualSubDevice
-from ecatspec.model.values import Pattern, Value, is_any
+from ecatspec.model.values import Pattern, Unknown, Value, any_open
 from ecatspec.model.words import typed_words, value_words
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ class ObservedDevice:
         self.device = VirtualSubDevice(protocol)
         self.device.observer = self._observe
         self.model = self.device.model
-        self.free: dict[int, Pattern] = {}
+        self.free: dict[int, Value] = {}
         self.taken: list[Step] = []
         self.decided = False
         """Whether something was left free since this was last set to False."""
@@ -129,7 +129,7 @@ class ObservedDevice:
         for rule in taken.rules:
             for slot, _ in self.model.named(rule).updates:
                 self.free.pop(slot, None)
-        if Pattern in map(type, taken.state.slots):
+        if any_open(taken.state.slots):
             found = {n: v for n, v in enumerate(taken.state.slots) if isinstance(v, Pattern)}
             self.free |= found
             self.decided = True
@@ -240,7 +240,7 @@ class _Walked(Driven):
             register = model.protocol.registers[name]
             types = {bits.name: bits.type for bits in register.fields}
             for key, value in shown_register(model, register, state).items():
-                if not is_any(value):
+                if not isinstance(value, Unknown):
                     words = typed_words(model, types[key], value)
                     found.append(Part(key, value, _al_words(key, value, words)))
         if self.setup.name != AL:
@@ -268,7 +268,7 @@ class _Walked(Driven):
             found.append(Part(f"answer {number}", output.frame, output.frame.replace("_", " ")))
             for name in (_CODE, *REPLY_FIELDS):
                 value = fields.get(name)
-                if value is not None and not is_any(value):
+                if value is not None and not isinstance(value, Unknown):
                     words = f"{name} {value_words(self.model, output.frame, name, value)}"
                     found.append(Part(f"answer {number} {name}", value, words))
         return found or [Part("answer 0", "silence", "silence")]

@@ -22,7 +22,7 @@ from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.model.process_image import INPUTS, taken
 from ecatspec.model.shown import layout
 from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import Pattern, admits, bits_of
+from ecatspec.model.values import Pattern, admits, bits_of, ranges_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -187,5 +187,5 @@ def _vector(number: int, behaviour: Behaviour) -> dict[str, object]:
 def _any_of(value: Value) -> list[object]:
     """Give the values that are allowed: single ones, and ranges as pairs."""
     if isinstance(value, Pattern):
-        return [low if low == high else [low, high] for low, high in value.ranges or ()]
+        return [low if low == high else [low, high] for low, high in ranges_of(value) or ()]
     return [value.hex() if isinstance(value, bytes) else value]

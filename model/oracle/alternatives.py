@@ -11,7 +11,7 @@ from ecatspec.model.dictionary import size_varies
 from ecatspec.model.interpreter import differing, expected_fields, row_of
 from ecatspec.model.once import once
 from ecatspec.model.shown import machines_of, shown_fields, shown_register
-from ecatspec.model.values import Pattern, admits, is_any
+from ecatspec.model.values import Octets, Unknown, admits
 from ecatspec.spec.language.ir import Named, Rule
 from ecatspec.spec.language.scope import names_in
 
@@ -151,7 +151,7 @@ def _led(
         names = {name: value for value, name in model.state_names(rule.machine).items()}
         for source in row.sources:
             before = shown(candidate.state.having(slot, names[source]))
-            demanded = any(name in before and not is_any(before[name]) for name in odd)
+            demanded = any(name in before and not isinstance(before[name], Unknown) for name in odd)
             if source != row.target and demanded and not not_admitted(before, observed):
                 return (rule,), True
     own = [rule for rule in history if rule.machine in machines]
@@ -233,7 +233,7 @@ def _fits(model: Model, state: State, output: Output, message: Message) -> bool:
         return True
     if isinstance(expected, bytes):
         return len(held) == len(expected)
-    lengths = expected.lengths if isinstance(expected, Pattern) else None
+    lengths = expected.lengths if isinstance(expected, Octets) else None
     return lengths is None or lengths[0] <= len(held) <= lengths[1]
 
 

@@ -30,7 +30,7 @@ from ecatspec.model.oracle.judged import (
 from ecatspec.model.oracle.knowledge import Knowledge, reasons_of
 from ecatspec.model.oracle.reads import left
 from ecatspec.model.shown import fields_in, shown_fields, shown_register, words_in
-from ecatspec.model.values import is_any
+from ecatspec.model.values import Unknown
 from ecatspec.model.words import fields_words, message_words, register_words
 from ecatspec.spec.language.scope import names_in
 
@@ -282,7 +282,7 @@ def _expected_replies(model: Model, candidates: Explanations) -> tuple[str, ...]
             output = candidate.outbox[0]
             fields = expected_fields(model, candidate.state, output)
             fields |= later_fields(model, candidate.state, output, fields)[0]
-            stated = {n: v for n, v in fields.items() if not is_any(v)}
+            stated = {n: v for n, v in fields.items() if not isinstance(v, Unknown)}
             expected[fields_words(model, output.frame, stated)] = None
         elif not candidate.inbox:
             expected["no reply"] = None

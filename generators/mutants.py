@@ -30,6 +30,7 @@ from ecatspec.spec.language.ir import (
     UInt,
     Unary,
 )
+from ecatspec.spec.language.logic import LOGIC
 from ecatspec.spec.language.pretty import pretty_expression
 from ecatspec.spec.language.scope import Scope, frame_fields, kind_of, nodes_in, parts_of
 
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
 
 _T = TypeVar("_T")
 _N = TypeVar("_N", bound=Expression | Range)
-_LOGIC: Final = frozenset({"and", "or"})
 _NUMBERS: Final = (UInt(64), SInt(64), Time())
 _EXPRESSIONS: Final = get_args(Expression)
 _EDGES: Final = {"<": "<=", "<=": "<", ">": ">=", ">=": ">"}
@@ -270,7 +270,7 @@ def _changed(
 
     `above` is the operator whose row the expression continues: a row is changed as a whole.
     """
-    operator = node.operator if isinstance(node, Binary) and node.operator in _LOGIC else ""
+    operator = node.operator if isinstance(node, Binary) and node.operator in LOGIC else ""
     if not isinstance(node, Range) and (not operator or operator != above):
         for other in change(node):
             yield node, other, cast("_N", other)
@@ -290,7 +290,7 @@ def _changed(
 
 def _one_less(node: object) -> Iterator[Expression]:
     """Yield a row of `and` or of `or` without one of its parts."""
-    if isinstance(node, Binary) and node.operator in _LOGIC:
+    if isinstance(node, Binary) and node.operator in LOGIC:
         parts = list(_row(node.operator, node))
         for number in range(len(parts)):
             left = (*parts[:number], *parts[number + 1 :])

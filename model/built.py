@@ -24,6 +24,7 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
+from ecatspec.spec.language.logic import LOGIC, joined
 from ecatspec.spec.language.scope import Scope, UnresolvedName, kind_of, nodes_in, parts_of
 
 if TYPE_CHECKING:
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 
 _N = TypeVar("_N", bound=Expression | Range)
 _EXPRESSIONS: Final = get_args(Expression)
-_LOGIC: Final = {"and": True, "or": False}
-"""What a part may always be without changing the row."""
 _STATIC: Final = frozenset({"declared", "object_exists", "dictionary_closed", "is_plain_variable"})
 """The functions whose answer never changes where their arguments do not."""
 
@@ -132,9 +131,9 @@ class _Fold:
         match value:
             case Unary(operator="not", operand=operand):
                 return replace(value, operand=self.expression(operand, scope))
-            case Binary(operator=operator, left=left, right=right) if operator in _LOGIC:
+            case Binary(operator=operator, left=left, right=right) if operator in LOGIC:
                 one, other = self.expression(left, scope), self.expression(right, scope)
-                neutral = Literal(_LOGIC[operator])
+                neutral = Literal(not LOGIC[operator])
                 if one == neutral:
                     return other
                 return one if other == neutral else replace(value, left=one, right=other)
@@ -181,9 +180,10 @@ class _Fold:
             case Unary(operator="not", operand=operand):
                 truth = self._truth(operand, scope)
                 return None if truth is None else not truth
-            case Binary(operator=operator, left=left, right=right) if operator in _LOGIC:
-                truths = {self._truth(left, scope), self._truth(right, scope)}
-                return _joined(truths, neutral=_LOGIC[operator])
+            case Binary(operator=operator, left=left, right=right) if operator in LOGIC:
+                parts = (self._truth(part, scope) for part in (left, right))
+                joint = joined(parts, decisive=LOGIC[operator])
+                return joint if isinstance(joint, bool) else None
             case Conditional(condition, then, otherwise):
                 decided = self._truth(condition, scope)
                 truths = {self._truth(part, scope) for part in (then, otherwise)}
@@ -212,10 +212,3 @@ class _Fold:
             return None
         found = known(Environment(self.slots, {}, {}))
         return found if isinstance(found, bool) else None
-
-
-def _joined(truths: set[bool | None], *, neutral: bool) -> bool | None:
-    """Give the truth of a row of `and` (`neutral`: true) or of `or` (`neutral`: false)."""
-    if (not neutral) in truths:
-        return not neutral
-    return None if None in truths else neutral

@@ -1,13 +1,12 @@
 """The only place for what an expression means: expressions become functions of an environment.
 
-Logic is three-valued (Kleene): a comparison with an unknown value is unknown, `false and unknown`
-is false. Unknown is `UNKNOWN`; a guard that is unknown may hold or not.
+A comparison with an unknown value is unknown, and so may be what `logic` makes of it. Unknown is
+`UNKNOWN`; a guard that is unknown may hold or not.
 """
 
 from __future__ import annotations
 
-import operator
-from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from ecatspec.model.values import UNKNOWN, Numbers, Pattern, Unknown, Value, compatible
 from ecatspec.spec.language.arithmetic import calculated
@@ -24,6 +23,7 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
+from ecatspec.spec.language.logic import COMPARED, LOGIC, junction
 from ecatspec.spec.language.scope import EDGES
 
 if TYPE_CHECKING:
@@ -54,14 +54,6 @@ class Environment:
         """What was found out already, with the choices that were met open on the way."""
 
 
-_COMPARE: Final[dict[str, Callable[[int, int], bool]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-
-
 def compile_expression(
     expression: Expression, lookup: Lookup, functions: Mapping[str, Function]
 ) -> Getter:
@@ -83,7 +75,7 @@ def compile_expression(
             return _minus(compiled(operand))
         case Binary(operator="and" | "or" as word):
             parts = [compiled(part) for part in _chain(expression, word)]
-            return _junction(parts, decisive=word == "or")
+            return junction(parts, decisive=LOGIC[word], unknown=UNKNOWN)
         case Binary(operator="==", left=left, right=right):
             return _equality(compiled(left), compiled(right))
         case Binary(operator="!=", left=left, right=right):
@@ -150,20 +142,6 @@ def _chain(expression: Expression, word: str) -> list[Expression]:
             return [expression]
 
 
-def _junction(parts: list[Getter], *, decisive: bool) -> Getter:
-    def junction(environment: Environment) -> Value:
-        unknown = False
-        for part in parts:
-            value = part(environment)
-            if value is decisive:
-                return decisive
-            if isinstance(value, Pattern):
-                unknown = True
-        return UNKNOWN if unknown else not decisive
-
-    return junction
-
-
 def _equality(left: Getter, right: Getter) -> Getter:
     fixed = getattr(right, "value", UNKNOWN)
     if not isinstance(fixed, Pattern):
@@ -194,14 +172,15 @@ def _equality_with(left: Getter, fixed: Value) -> Getter:
 
 
 def _arithmetic(sign: str, left: Getter, right: Getter) -> Getter:
-    compare = _COMPARE.get(sign)
+    compare = COMPARED.get(sign)
 
     def arithmetic(environment: Environment) -> Value:
         first, second = left(environment), right(environment)
         if not isinstance(first, int) or not isinstance(second, int):
             return UNKNOWN
         if compare is not None:
-            return compare(first, second)
+            holds: bool = compare(first, second)
+            return holds
         number = calculated(sign, first, second)
         return UNKNOWN if number is None else number
 

@@ -6,14 +6,14 @@ terms. What is the same everywhere stays a Python value, so that pins and parame
 
 from __future__ import annotations
 
-import operator
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import z3
 
-from ecatspec.spec.language.arithmetic import calculated
+from ecatspec.spec.language.arithmetic import SIGNS, calculated
+from ecatspec.spec.language.logic import COMPARED, joined
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -26,17 +26,8 @@ Term: TypeAlias = "bool | int | z3.ExprRef"
 EFFORT: Final = 4_000_000
 """Steps of the solver for one question; the same on every machine, other than seconds."""
 
-_COMPARE: Final[dict[str, Callable[[Term, Term], Term]]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-}
-_COUNT: Final[dict[str, Callable[[Term, Term], Term]]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-}
+_COUNTED: Final = frozenset({"+", "-", "*"})
+"""The signs that make of two terms what they make of two numbers."""
 
 
 class Answer(Enum):
@@ -225,15 +216,10 @@ def any_of(terms: Iterable[Term]) -> Term:
 
 
 def _joined(terms: Iterable[Term], join: Callable[..., Term], *, decisive: bool) -> Term:
-    parts = []
-    for term in terms:
-        if term is decisive:
-            return decisive
-        if not isinstance(term, bool):
-            parts.append(term)
-    if len(parts) <= 1:
-        return parts[0] if parts else not decisive
-    return join(*parts)
+    found = joined(terms, decisive=decisive)
+    if isinstance(found, bool):
+        return found
+    return join(*found) if len(found) > 1 else found[0]
 
 
 def two_of(terms: Iterable[Term]) -> Term:
@@ -276,7 +262,8 @@ def equal(first: Term, second: Term) -> Term:
 
 def compared(sign: str, first: Term, second: Term) -> Term:
     """Give what holds where `<`, `<=`, `>` or `>=` does."""
-    return _COMPARE[sign](_number(first), _number(second))
+    found: Term = COMPARED[sign](_number(first), _number(second))
+    return found
 
 
 def within(term: Term, low: Term, high: Term) -> Term:
@@ -291,8 +278,9 @@ def counted(sign: str, first: Term, second: Term) -> Term | None:
     first, second = _number(first), _number(second)
     if isinstance(first, int) and isinstance(second, int):
         return calculated(sign, first, second)
-    if sign in _COUNT:
-        return _COUNT[sign](first, second)
+    if sign in _COUNTED:
+        made: Term = SIGNS[sign](first, second)
+        return made
     if sign in "&|" or not isinstance(second, int) or second <= 0:
         return None
     return first / second if sign == "/" else first % second

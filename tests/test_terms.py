@@ -1,4 +1,4 @@
-"""The only place for tests of solver terms: they mean what the interpreter does."""
+"""Tests of solver terms: they mean what the interpreter does."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 pytest.importorskip("z3")
 
@@ -38,14 +40,35 @@ from ecatspec.model.terms import (
     settled,
     two_of,
 )
-from ecatspec.model.values import Pattern, Value
-from ecatspec.spec.language.ir import Bool, Bytes, SInt
+from ecatspec.model.values import UNKNOWN, Pattern, Value
+from ecatspec.spec.language.arithmetic import DIVISIONS
+from ecatspec.spec.language.ir import (
+    AnyValue,
+    Binary,
+    Bool,
+    Bytes,
+    Conditional,
+    In,
+    Literal,
+    Name,
+    Range,
+    SInt,
+    Unary,
+)
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.scope import Scope, UnresolvedName, bounds_of, kind_of_ref, resolve
+from ecatspec.spec.language.logic import COMPARED, LOGIC
+from ecatspec.spec.language.scope import (
+    Scope,
+    UnresolvedName,
+    bounds_of,
+    kind_of_ref,
+    nodes_in,
+    resolve,
+)
 
 if TYPE_CHECKING:
     from ecatspec.model.state import State
-    from ecatspec.spec.language.ir import Type
+    from ecatspec.spec.language.ir import Expression, Type
 
 DEVICES = ("reference-drive", "kollmorgen-s300")
 COMMANDS = 1 << 16
@@ -328,6 +351,84 @@ def test_guards_and_updates_agree_with_the_interpreter(device: str, conditions: 
     assert len(guards) > rules * 0.9
     assert sum(len(seen) == 2 for seen in guards.values()) > rules * 0.3
     assert len(updated) > 8
+
+
+# --- logic with what is not known -----------------------------------------------------------------
+
+TRUTHS = ("al.error", "sdo.complete")
+NUMBERS = ("sdo.index", "sdo.size")
+CONDITIONS = ("mailbox_checked", "watchdog_in_safeop")
+KNOWN = st.none() | st.integers(0, 12)
+
+
+def expressions() -> st.SearchStrategy[Expression]:
+    """Truths made of what is known, of what may be known, of conditions, and of `any`."""
+    names = st.sampled_from(NUMBERS).map(Name)
+    plain = st.one_of(st.integers(0, 12).map(Literal), names)
+    numbers = st.recursive(
+        plain,
+        lambda inner: st.one_of(
+            st.builds(Binary, st.sampled_from("+-"), inner, inner),
+            st.builds(Binary, st.sampled_from("*/%"), inner, st.integers(0, 3).map(Literal)),
+        ),
+        max_leaves=3,
+    )
+    items = st.lists(numbers | st.builds(Range, numbers, numbers), min_size=1, max_size=2)
+    compared = st.builds(Binary, st.sampled_from(sorted(COMPARED)), numbers, numbers)
+    leaves = st.one_of(
+        st.booleans().map(Literal),
+        st.sampled_from((*TRUTHS, *CONDITIONS)).map(Name),
+        compared,
+        st.builds(Binary, st.just("=="), numbers, st.just(AnyValue())),
+        st.builds(In, numbers, items.map(tuple)),
+    )
+    return st.recursive(
+        leaves,
+        lambda inner: st.one_of(
+            st.builds(Unary, st.just("not"), inner),
+            st.builds(Binary, st.sampled_from(sorted(LOGIC)), inner, inner),
+            st.builds(Conditional, inner, inner, inner),
+        ),
+        max_leaves=5,
+    )
+
+
+@cache
+def reference() -> tuple[Meaning, Model]:
+    protocol = load_device("reference")
+    return Meaning(protocol), Model(protocol)
+
+
+@given(
+    expression=expressions(),
+    numbers=st.tuples(KNOWN, KNOWN),
+    truths=st.tuples(st.none() | st.booleans(), st.none() | st.booleans()),
+)
+def test_what_the_interpreter_knows_the_solver_proves(
+    expression: Expression,
+    numbers: tuple[int | None, ...],
+    truths: tuple[bool | None, ...],
+) -> None:
+    meaning, model = reference()
+    held = dict(zip((*NUMBERS, *TRUTHS), (*numbers, *truths), strict=True))
+    state = model.initial
+    for name, value in held.items():
+        state = state.having(model.slots[name], UNKNOWN if value is None else value)
+    says = model.expression(expression, Scope(), Bool())(Environment(state.slots, {}, {}))
+    known = {name: value for name, value in held.items() if value is not None}
+    means = meaning.truth(expression, Moment(meaning.world().having(known), Scope(), "known", {}))
+    if isinstance(says, bool):
+        differs = negated(equal(means, says))
+        assert Solver(meaning.symbols).ask((differs,)) is Answer.NO
+    else:
+        open_ = {name for name, value in held.items() if value is None} | set(CONDITIONS)
+        parts = tuple(nodes_in(expression))
+        assert any(
+            isinstance(part, AnyValue)
+            or (isinstance(part, Name) and part.path in open_)
+            or (isinstance(part, Binary) and part.operator in DIVISIONS)
+            for part in parts
+        )
 
 
 # --- solver against brute force -------------------------------------------------------------------

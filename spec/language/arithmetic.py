@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ecatspec.spec.language.ir import Binary, Literal, Name, Unary
 from ecatspec.spec.language.scope import (
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ecatspec.spec.language.ir import Expression, Protocol
 
-_SIGNS: Final[dict[str, Callable[[int, int], int]]] = {
+SIGNS: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "+": operator.add,
     "-": operator.sub,
     "*": operator.mul,
@@ -29,7 +29,8 @@ _SIGNS: Final[dict[str, Callable[[int, int], int]]] = {
     "&": operator.and_,
     "|": operator.or_,
 }
-ARITHMETIC: Final = frozenset(_SIGNS)
+"""The signs that calculate, and what they make of two numbers; see `calculated` for divisions."""
+ARITHMETIC: Final = frozenset(SIGNS)
 DIVISIONS: Final = frozenset({"/", "%"})
 
 
@@ -41,7 +42,8 @@ def calculated(sign: str, left: int, right: int) -> int | None:
     """
     if sign in DIVISIONS and not right:
         return None
-    return _SIGNS[sign](left, right)
+    number: int = SIGNS[sign](left, right)
+    return number
 
 
 def constant(protocol: Protocol, expression: Expression, scope: Scope) -> int | None:

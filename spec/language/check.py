@@ -43,10 +43,10 @@ from ecatspec.spec.language.ir import (
     Unary,
     Word,
 )
+from ecatspec.spec.language.logic import COMPARED
 from ecatspec.spec.language.overlap import meaning
 from ecatspec.spec.language.parse import TIME_DIGITS
 from ecatspec.spec.language.scope import (
-    COMPARISONS,
     CYCLIC,
     EDGES,
     FUNCTIONS,
@@ -627,7 +627,7 @@ class _Checker:
             case Unary(operator, operand):
                 found = Bool() if operator == "not" else _NUMBER
                 self._demand(operand, scope, found)
-            case Binary(operator, left, right) if operator in COMPARISONS:
+            case Binary(operator, left, right) if operator in COMPARED:
                 self._compare(operator, left, right, scope)
                 found = Bool()
             case Binary(operator, left, right):

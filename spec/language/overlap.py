@@ -39,8 +39,8 @@ from ecatspec.spec.language.ir import (
     Time,
     Unary,
 )
+from ecatspec.spec.language.logic import COMPARED, junction
 from ecatspec.spec.language.scope import (
-    COMPARISONS,
     EDGES,
     EXCLUSIVE,
     FUNCTIONS,
@@ -493,11 +493,11 @@ class _Guard:
                 return _Operand(lambda e: -x if isinstance(x := test(e), int) else None)
             case Binary("and", left, right):
                 first, second = self._build(left, Bool()), self._build(right, Bool())
-                return _Operand(_and(first.test, second.test))
+                return _Operand(junction((first.test, second.test), decisive=False, unknown=None))
             case Binary("or", left, right):
                 first, second = self._build(left, Bool()), self._build(right, Bool())
-                return _Operand(_or(first.test, second.test))
-            case Binary(operator, left, right) if operator in COMPARISONS:
+                return _Operand(junction((first.test, second.test), decisive=True, unknown=None))
+            case Binary(operator, left, right) if operator in COMPARED:
                 return self._comparison(value)
             case Binary(operator, left, right):
                 self.calculates = True
@@ -561,6 +561,8 @@ class _Guard:
             self.samples[dimension] = self._first_samples(dimension, kind)
             if not isinstance(kind, Bool | ChoiceRef):
                 self._numeric.add(dimension)
+        if isinstance(kind, Bool):
+            return _Operand(lambda e: _truth(e.value(dimension)), dimension)
         return _Operand(lambda e: e.value(dimension), dimension)
 
     def _first_samples(self, dimension: _Dimension, kind: Kind | None) -> set[_Value]:
@@ -627,9 +629,13 @@ class _Guard:
                 self._related(subject, low)
                 self._related(subject, high)
                 tests.append(
-                    _and(
-                        _compared(">=", subject.test, low.test),
-                        _compared("<=", subject.test, high.test),
+                    junction(
+                        (
+                            _compared(">=", subject.test, low.test),
+                            _compared("<=", subject.test, high.test),
+                        ),
+                        decisive=False,
+                        unknown=None,
                     )
                 )
             else:
@@ -637,9 +643,7 @@ class _Guard:
                 singles.append(single)
                 self._related(subject, single)
                 tests.append(_compared("==", subject.test, single.test))
-        test = _constantly(value=False)
-        for more in tests:
-            test = _or(test, more)
+        test = junction(tests, decisive=True, unknown=None)
         limit = _limit(subject, singles) if len(singles) == len(items) else None
         return _Operand(test, limit=limit)
 
@@ -658,30 +662,8 @@ def _constantly(*, value: _Value) -> _Test:
     return lambda _: value
 
 
-def _and(one: _Test, other: _Test) -> _Test:
-    def test(environment: _Environment) -> _Value | None:
-        first = one(environment)
-        if first is not None and not first:
-            return False
-        second = other(environment)
-        if second is not None and not second:
-            return False
-        return None if first is None or second is None else True
-
-    return test
-
-
-def _or(one: _Test, other: _Test) -> _Test:
-    def test(environment: _Environment) -> _Value | None:
-        first = one(environment)
-        if first:
-            return True
-        second = other(environment)
-        if second:
-            return True
-        return None if first is None or second is None else False
-
-    return test
+def _truth(value: _Value | None) -> bool | None:
+    return None if value is None else bool(value)
 
 
 def _compared(operator: str, one: _Test, other: _Test) -> _Test:
@@ -689,21 +671,10 @@ def _compared(operator: str, one: _Test, other: _Test) -> _Test:
         left, right = one(environment), other(environment)
         if left is None or right is None:
             return None
-        if operator == "==":
-            return left == right
-        if operator == "!=":
-            return left != right
-        if isinstance(left, str) or isinstance(right, str):
+        if operator not in {"==", "!="} and (isinstance(left, str) or isinstance(right, str)):
             return None
-        match operator:
-            case "<":
-                return left < right
-            case "<=":
-                return left <= right
-            case ">":
-                return left > right
-            case _:
-                return left >= right
+        found: bool = COMPARED[operator](left, right)
+        return found
 
     return test
 

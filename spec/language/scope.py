@@ -44,6 +44,7 @@ from ecatspec.spec.language.ir import (
     UInt,
     Unary,
 )
+from ecatspec.spec.language.logic import COMPARED, LOGIC
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator
@@ -538,8 +539,6 @@ def parts_of(expression: Expression | Range) -> tuple[Expression | Range, ...]:
 
 
 _NUMBER: Final = UInt(64)
-_LOGIC: Final = frozenset({"and", "or"})
-COMPARISONS: Final = frozenset({"==", "!=", "<", "<=", ">", ">="})
 
 
 def kind_of_ref(protocol: Protocol, ref: Ref, scope: Scope) -> Kind | None:
@@ -620,7 +619,7 @@ def kind_of(
         case Unary(operator, _):
             found = Bool() if operator == "not" else _NUMBER
         case Binary(operator, left, _):
-            found = Bool() if operator in _LOGIC or operator in COMPARISONS else _NUMBER
+            found = Bool() if operator in LOGIC or operator in COMPARED else _NUMBER
             if operator == "+" and kind_of(protocol, left, scope) == Time():
                 found = Time()
         case In():

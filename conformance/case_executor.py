@@ -350,7 +350,7 @@ class CaseExecutor:
             with contextlib.suppress(Deviation, InconclusiveError):
                 for stimulus in (*way_to(self.model, "PREOP"), *read_configuration(self.model)):
                     self.session.apply(stimulus)
-                known = self.session.oracle.known.example().objects
+                known = self.session.oracle.known.example().objects.items()
                 self.configured = at_power_on(self.model, known)
             self.session.forget_trace()
         return self.configured

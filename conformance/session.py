@@ -376,11 +376,11 @@ class Session:
         if (index, 0) not in self.model.dictionary.entries:
             return []
         self._ask(index, 0)
-        known = self.oracle.known.example().known()
+        known = self.oracle.known.example().objects
         count = known.get((index, 0), b"\0")[0]
         for subindex in range(1, count + 1):
             self._ask(index, subindex)
-        known = self.oracle.known.example().known()
+        known = self.oracle.known.example().objects
         found = (known.get((index, subindex)) for subindex in range(1, count + 1))
         return [int.from_bytes(value, "little") for value in found if value]
 

@@ -173,7 +173,7 @@ def _holds(model: Model, state: State, name: str) -> bool:
 
 def _known(state: State, pdo: int) -> bool:
     """Tell whether a PDO counts entries at power-on."""
-    return any(state.known().get((pdo, 0), b""))
+    return any(state.objects.get((pdo, 0), b""))
 
 
 def _held(model: Model, pdo: int) -> set[ObjectKey | None]:

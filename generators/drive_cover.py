@@ -462,7 +462,7 @@ def _offered(model: Model) -> tuple[list[int], list[int]]:
     found: dict[bool | None, list[int]] = {True: [], None: [], False: []}
     for row in model.protocol.tables["operation_mode"].rows[1:]:
         slots = state.having(model.slots[f"word {CHOSEN}"], row.value).slots
-        value = offered(Environment(slots, state.known(), {}))
+        value = offered(Environment(slots, state.objects, {}))
         found[value if isinstance(value, bool) else None].append(row.value)
     return found[True] + found[None], found[False]
 

@@ -162,7 +162,7 @@ def _anew(model: Model) -> tuple[Stimulus, ...]:
 def _fewer(model: Model) -> Iterator[Case]:
     """Yield settings as they were before an entry less is mapped in one direction."""
     state = brought_up(model)
-    objects = state.known()
+    objects = state.objects
     for name, index in zip(PROCESS_DATA, model.image.assignments.values(), strict=True):
         pdo = int.from_bytes(objects.get((index, 1), b""), "little")
         numbers = [objects.get(key, b"\0")[0] for key in ((index, 0), (pdo, 0))]

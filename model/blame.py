@@ -175,7 +175,7 @@ def _of_layout(model: Model, each: Alternative) -> tuple[str, tuple[str, ...]] |
     )
     if each.layout in protocol.frames:
         entry = each.entry
-        known = entry is not None and (entry.index, entry.subindex) in each.candidate.state.known()
+        known = entry is not None and (entry.index, entry.subindex) in each.candidate.state.objects
         cited = {
             clause
             for rule in each.rules[-1:]
@@ -271,7 +271,7 @@ def _decisive(
     not go at all those tell that speak of a word that it did not heed.
     """
     told: dict[str, tuple[int, set[bool]]] = {}
-    environment = Environment(state.slots, state.known(), dict(asked))
+    environment = Environment(state.slots, state.objects, dict(asked))
     for name, scope, wanted, depth in _guard_of(model, rule):
         definition = model.protocol.definitions.get(name)
         if definition is None or (stuck and not _speaks_of_word(model, name)):

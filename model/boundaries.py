@@ -292,7 +292,8 @@ class Boundaries:
             for side in each.sides:
                 value = each.edge + OFFSETS[side]
                 if low <= value <= high:
-                    event = replace(last, parameters={**last.parameters, each.field: value})
+                    parameters = {**last.parameters, each.field: value}
+                    event = Event(last.machine, last.input, parameters, last.trail)
                     events = (*before, event)
                     yield from self._new(
                         Boundary(

@@ -140,7 +140,7 @@ class Example:
         """Give for every rule and gap whether the interpreter lets it take the input."""
         model = self._decided(moment)
         state, event = self.state(moment.world), self.event(moment)
-        environment = Environment(state.slots, state.known(), event.parameters)
+        environment = Environment(state.slots, state.objects, event.parameters)
         current = state.slots[model.slots[f"{event.machine}.state"]]
         found: dict[str, bool | None] = {}
         for rule in model.rules(event.machine, event.input):

@@ -126,7 +126,7 @@ def _lengths(model: Model, frame: str) -> dict[str, int]:
 
 def _undecided(model: Model, state: State, output: Output, unseen: str) -> set[str]:
     """Give the choices on which fields rest of which the rule says nothing."""
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     said = {*model.codec.fixed(output.frame), *dict(output.fields), unseen}
     for name, (getter, _) in model.replies[output.frame].items():
         if name not in said:
@@ -309,7 +309,7 @@ def register_forms(model: Model, state: State, registers: Iterable[Register]) ->
 
 def input_form(model: Model, state: State, data: bytes) -> Form:
     """Give what the inputs may be in a state: its words, all else as in `data`."""
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     value = int.from_bytes(data, "little")
     free = whole = (1 << len(data) * _BYTE) - 1
     for mapped in layout(model, state, INPUTS) or ():

@@ -69,7 +69,7 @@ def _joined(first: Step, then: Step) -> Step:
 
 
 def _fire(model: Model, state: State, event: Event) -> list[tuple[Step, tuple[Event, ...]]]:
-    environment = Environment(state.slots, state.known(), event.parameters)
+    environment = Environment(state.slots, state.objects, event.parameters)
     current = state.slots[model.slots[f"{event.machine}.state"]]
     if isinstance(current, Pattern):
         # whatever it does, its state is no better known than before
@@ -111,7 +111,7 @@ def _apply(
     if rule.gap:
         after = forgotten(model, state, event.machine)
         return [(Step(after, (rule.name,), (), 0, unspecified=True), ())]
-    environment = Environment(state.slots, state.known(), event.parameters)
+    environment = Environment(state.slots, state.objects, event.parameters)
     values = [(slot, getter(environment)) for slot, getter in rule.updates]
     stores = [
         (index(environment), subindex(environment), content(environment), complete)
@@ -314,7 +314,7 @@ def matches(model: Model, state: State, output: Output, message: Message) -> lis
         return [Step(state, (), (), 0)] if same else []
     if output.frame not in message.trail:
         return []
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     expected: dict[str, Value] = {**model.codec.fixed(output.frame), **dict(output.fields)}
     keeps: dict[str, str | None] = {}
     for name, (getter, into) in model.replies[output.frame].items():
@@ -384,12 +384,12 @@ def afterwards(
 
 def _sent(state: State, output: Output, fields: Mapping[str, Value]) -> Environment:
     reply = {f"{REPLY}.{name}": value for name, value in fields.items()}
-    return Environment(state.slots, state.known(), dict(output.given or ()) | reply)
+    return Environment(state.slots, state.objects, dict(output.given or ()) | reply)
 
 
 def expected_fields(model: Model, state: State, output: Output) -> dict[str, Value]:
     """Give all that the texts say of a frame that is due: fixed, stated and default fields."""
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     expected: dict[str, Value] = dict(model.codec.fixed(output.frame))
     for name, (getter, _) in model.replies[output.frame].items():
         expected[name] = getter(environment)

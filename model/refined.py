@@ -84,7 +84,7 @@ class Refined:
         slots = list(self._state.slots)
         if al_state is not None:
             slots[self._meaning.model.slots["al.state"]] = al_state
-        environment = Environment(tuple(slots), self._state.known(), {})
+        environment = Environment(tuple(slots), self._state.objects, {})
         wrong = False
         for name in sorted(values.numbers):
             function, arguments = self._meaning.answers.asked.get(name, ("", ()))

@@ -8,7 +8,7 @@ in which they were not yet. What it finds the interpreter has to repeat.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.chains import Chains
@@ -354,7 +354,7 @@ class Search:
             if frame is not None:
                 trail = self.meaning.model.codec.trail(frame)
                 event = Event(event.machine, event.input, example.parameters(inner))
-        return replace(event, trail=trail)
+        return Event(event.machine, event.input, event.parameters, trail)
 
     def _written(self, state: State, written: State, slots: dict[str, int]) -> State:
         for name, slot in slots.items():

@@ -137,7 +137,7 @@ def advised(model: Model, name: str, state: State) -> tuple[tuple[View, Value], 
 @once
 def layout(model: Model, state: State, name: str) -> tuple[Mapped, ...] | None:
     """Give what the process data of an assignment hold, in order; None: not known."""
-    return model.image.layout(Environment(state.slots, state.known(), {}), name)
+    return model.image.layout(Environment(state.slots, state.objects, {}), name)
 
 
 def fields_in(model: Model, state: State, image: bytes) -> Iterator[tuple[str, dict[str, Value]]]:
@@ -160,7 +160,7 @@ def words_in(model: Model, state: State, image: bytes) -> tuple[tuple[str, str],
 @once
 def odd_words(model: Model, state: State, image: bytes) -> dict[str, Word]:
     """Give the words in the inputs that are not what the state shows."""
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     found = {}
     for mapped in layout(model, state, INPUTS) or ():
         shown = None if mapped.key is None else model.dictionary.shown.get(mapped.key)
@@ -188,7 +188,7 @@ def decided(model: Model, state: State, image: bytes) -> tuple[State, ...]:
 
 def shown_fields(model: Model, state: State, name: str) -> dict[str, Value]:
     """Give the fields of a word of which a state says something."""
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     shown = {view.name: view.present(environment) for view in model.views[name]}
     return {field: value for field, value in shown.items() if not isinstance(value, Unknown)}
 

@@ -65,7 +65,7 @@ class _Maker:
     def __init__(self, model: Model) -> None:
         self._model = model
         self._state: State = power_on(model)
-        self._known: Mapping[ObjectKey, bytes] = self._state.known()
+        self._known: Mapping[ObjectKey, bytes] = self._state.objects
         index = model.parameter("device_name_object")
         texts = (e for e in model.protocol.objects if e.index == index and isinstance(e.type, Text))
         named = (self._known.get((entry.index, entry.subindex), b"") for entry in texts)

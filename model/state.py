@@ -1,63 +1,62 @@
-"""The only place for the data of the model: states, inputs, outputs and steps."""
+"""The data of the model: states, inputs, outputs and steps."""
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from msgspec import Struct, structs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ecatspec.model.values import ObjectKey, Value
 
+_K = TypeVar("_K")
+_V = TypeVar("_V")
 
-@dataclass(frozen=True, slots=True)
-class State:
+
+class Fixed(dict[_K, _V]):
+    """A mapping that nobody changes, with its hash worked out once; there may be many objects."""
+
+    __slots__ = ("_hash",)
+    _hash: int
+
+    def __hash__(self) -> int:  # type: ignore[override]  # a plain dict has none
+        """Give the hash of what it holds, in any order."""
+        try:
+            return self._hash
+        except AttributeError:
+            self._hash = hash(frozenset(self.items()))
+            return self._hash
+
+
+NOTHING: Final[Fixed[ObjectKey, bytes]] = Fixed()
+"""No object has a value that is known."""
+
+
+class State(Struct, frozen=True, cache_hash=True):
     """All that the model knows of a device: one value a slot (None: undecided), known objects.
 
     The objects are in the order of their keys.
     """
 
     slots: tuple[Value | None, ...]
-    objects: tuple[tuple[ObjectKey, bytes], ...] = ()
-    _known: Mapping[ObjectKey, bytes] | None = field(default=None, compare=False, repr=False)
-    _hash_of_objects: int | None = field(default=None, compare=False, repr=False)
-    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
-
-    def __hash__(self) -> int:
-        """Give the hash of slots and objects, worked out once; there may be many objects."""
-        value = self._hash
-        if value is None:
-            if self._hash_of_objects is None:
-                object.__setattr__(self, "_hash_of_objects", hash(self.objects))
-            value = hash((self.slots, self._hash_of_objects))
-            object.__setattr__(self, "_hash", value)
-        return value
-
-    def known(self) -> Mapping[ObjectKey, bytes]:
-        """Give the objects whose value is known."""
-        known = self._known
-        if known is None:
-            known = dict(self.objects)
-            object.__setattr__(self, "_known", known)
-        return known
+    objects: Fixed[ObjectKey, bytes] = NOTHING
 
     def keeping(self, key: ObjectKey, value: bytes) -> State:
         """Give the state in which the object `key` has `value`."""
-        known = self.known()
-        if known.get(key) == value:
+        before = self.objects.get(key)
+        if before == value:
             return self
-        place = bisect_left(self.objects, (key,))
-        rest = self.objects[place + (key in known) :]
-        objects = (*self.objects[:place], (key, value), *rest)
-        return State(self.slots, objects, {**known, key: value})
+        objects = Fixed({**self.objects, key: value})
+        return State(self.slots, objects if before is not None else Fixed(sorted(objects.items())))
 
     def forgetting(self, key: ObjectKey) -> State:
         """Give the state in which the value of the object `key` is not known."""
-        if key not in self.known():
+        if key not in self.objects:
             return self
-        return State(self.slots, tuple(pair for pair in self.objects if pair[0] != key))
+        return State(self.slots, Fixed({k: v for k, v in self.objects.items() if k != key}))
 
     def having(self, slot: int, value: Value | None) -> State:
         """Give the state with another value in one slot."""
@@ -67,31 +66,24 @@ class State:
 
     def holding(self, slots: tuple[Value | None, ...]) -> State:
         """Give the state with other values in all slots."""
-        return State(slots, self.objects, self._known, self._hash_of_objects)
+        return State(slots, self.objects)
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(Struct, frozen=True, cache_hash=True):
     """An input of a machine with its parameters; for a frame, `trail` holds its layouts."""
 
     machine: str
     input: str
     parameters: Mapping[str, Value]
     trail: tuple[str, ...] = ()
-    _hash: int | None = field(default=None, init=False, compare=False, repr=False)
 
-    def __hash__(self) -> int:
-        """Give the hash of all, parameters in any order, worked out once."""
-        value = self._hash
-        if value is None:
-            parameters = frozenset(self.parameters.items())
-            value = hash((self.machine, self.input, self.trail, parameters))
-            object.__setattr__(self, "_hash", value)
-        return value
+    def __post_init__(self) -> None:
+        """Keep the parameters as they are now."""
+        if type(self.parameters) is not Fixed:
+            structs.force_setattr(self, "parameters", Fixed(self.parameters))
 
 
-@dataclass(frozen=True, slots=True)
-class RuleName:
+class RuleName(Struct, frozen=True, cache_hash=True):
     """Which rule or gap; cited by verdicts and counted by coverage."""
 
     machine: str
@@ -123,8 +115,7 @@ class Output:
     """The parameters of the rule's input."""
 
 
-@dataclass(frozen=True, slots=True)
-class Alarm:
+class Alarm(Struct, frozen=True, cache_hash=True):
     """An event that comes by itself, from `after` on and by `within`, in microseconds."""
 
     event: Event
@@ -132,8 +123,7 @@ class Alarm:
     within: int
 
 
-@dataclass(frozen=True, slots=True)
-class Step:
+class Step(Struct, frozen=True, cache_hash=True):
     """One way in which the texts let a device react to one input.
 
     `within` is the time it may take in microseconds; `unspecified` tells that a gap was met.

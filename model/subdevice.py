@@ -383,7 +383,7 @@ def power_on(model: Model) -> State:
 @once
 def _presented(model: Model, state: State) -> tuple[tuple[tuple[str, int], ...], bytes | None]:
     """Give what the registers show and the inputs, None where they have no content."""
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     registers = [r for r in model.protocol.registers.values() if model.views[r.name]]
     shown = []
     # AL Status Code lies above AL Status and is written first

@@ -147,7 +147,7 @@ def test_every_drive_state_has_a_status_word_of_its_own() -> None:
     found = {}
     for value, name in model.state_names("ds402").items():
         state = model.initial.having(slot, value)
-        pattern = model.dictionary.shown[key](Environment(state.slots, state.known(), {}))
+        pattern = model.dictionary.shown[key](Environment(state.slots, state.objects, {}))
         found[name] = pattern
     assert len(found) == 8
     words = range(1 << 7)

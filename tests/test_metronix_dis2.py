@@ -426,5 +426,5 @@ def test_a_mapping_longer_than_declared_is_not_known(model: Model) -> None:
     declared = max(sub for index, sub in entries(model.protocol) if index == 0x1600)
     counted = model.initial.keeping((0x1600, 0), bytes([declared + 1]))
     assigned = counted.keeping((0x1C12, 0), b"\1").keeping((0x1C12, 1), b"\x00\x16")
-    environment = Environment(assigned.slots, assigned.known(), {})
+    environment = Environment(assigned.slots, assigned.objects, {})
     assert model.image.layout(environment, OUTPUTS) is None

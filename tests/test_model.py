@@ -380,7 +380,7 @@ def complete(name: str, *arguments: Value, watched: Model | None = None) -> Valu
         model = watched
     slots = list(model.initial.slots)
     slots[model.slots["al.state"]] = model.row("al_state", "PREOP")
-    objects = state.known() if watched is None else {}
+    objects = state.objects if watched is None else {}
     return model.dictionary.functions[name](Environment(tuple(slots), objects, {}), arguments)
 
 
@@ -452,6 +452,31 @@ def test_a_complete_download_skips_what_cannot_be_written() -> None:
     assert complete("complete_writable", 0x2011, 1) is True
     assert complete("complete_in_range", 0x2010, 0, data) is False
     assert complete("complete_in_range", 0x2010, 0, bytes(19)) is True
+
+
+# --- states and inputs ----------------------------------------------------------------------------
+
+
+def test_a_state_is_the_same_in_whatever_order_its_objects_came() -> None:
+    first, second = ((0x2000, 0), b"a"), ((0x1000, 1), b"b")
+    one = State((1,)).keeping(*first).keeping(*second)
+    other = State((1,)).keeping(*second).keeping(*first)
+    assert one == other
+    assert hash(one) == hash(other)
+    assert list(one.objects.items()) == list(other.objects.items()) == [second, first]
+    assert one.keeping(*first) is one
+    assert one.keeping((0x2000, 0), b"c").forgetting((0x2000, 0)) == State((1,)).keeping(*second)
+    assert one.forgetting((0x3000, 0)) is one
+
+
+def test_an_input_keeps_its_parameters_when_their_source_changes() -> None:
+    parameters: dict[str, Value] = {"index": 1}
+    event = Event("sdo", "upload", parameters)
+    parameters["index"] = 2
+    assert event.parameters == {"index": 1}
+    assert event == Event("sdo", "upload", {"index": 1})
+    assert hash(event) == hash(Event("sdo", "upload", {"index": 1}))
+    assert event != Event("sdo", "upload", parameters)
 
 
 # --- three-valued logic ---------------------------------------------------------------------------

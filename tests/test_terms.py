@@ -324,7 +324,7 @@ def test_guards_and_updates_agree_with_the_interpreter(device: str, conditions: 
             for _ in range(40):
                 state = shaken(random, model, random.choice(reachable(device)))
                 event = event_of(random, model, machine.name, source.name, state)
-                environment = Environment(state.slots, state.known(), event.parameters)
+                environment = Environment(state.slots, state.objects, event.parameters)
                 numbers = numbers_of(meaning, model, state, event, moment)
                 answers(meaning, model, environment, numbers, inside)
                 for item in rows:

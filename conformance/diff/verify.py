@@ -75,7 +75,7 @@ class _Bench:
         self.model = Model(protocol)
         start = self.model.parameter("mailbox_in", "start")
         device = VirtualSubDevice(protocol)
-        known = device.state.known().items()
+        known = device.state.objects.items()
         self.objects = {key: v for key, v in known if self.model.image.configures(key[0])}
         """What is assigned and mapped after power-on, which the MainDevice has read before."""
         self.adapter = Overheard(VirtualAdapter(device, described(protocol)), start)

@@ -223,7 +223,8 @@ class Export:
             self.restless.append(case.name)
             return None
         if case.name == CONFIGURATION:
-            self._objects = at_power_on(self._model, self._recorder.oracle.known.example().objects)
+            known = self._recorder.oracle.known.example().objects
+            self._objects = at_power_on(self._model, known.items())
         self.number += 1
         steps = self._recorder.steps
         flags = [case.flag] if case.flag else []

@@ -201,7 +201,7 @@ def drive_status(driven: Driven) -> str:
     mask = 0
     for view in model.views[STATUS]:
         mask |= ((1 << view.width) - 1) << view.low
-    environment = Environment(device.state.slots, device.state.known(), {})
+    environment = Environment(device.state.slots, device.state.objects, {})
     layout = model.image.layout(environment, INPUTS) or ()
     part = next((part for part in layout if part.key == word.key), None)
     if part is None:

@@ -221,7 +221,7 @@ def refuses(model: Model, frame: str) -> bool:
 
 def _holds_any_size(state: State, entry: ObjectEntry | None) -> bool:
     """Tell whether it is known what an entry holds, and that may be of any size."""
-    known = entry is not None and (entry.index, entry.subindex) in state.known()
+    known = entry is not None and (entry.index, entry.subindex) in state.objects
     return known and entry is not None and size_varies(entry)
 
 

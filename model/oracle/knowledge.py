@@ -177,7 +177,7 @@ def demanded(model: Model, candidate: Candidate, definition: str) -> bool:
     if any(not pending.timer for pending in candidate.inbox):
         return False
     state = candidate.state
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     return model.definition(definition)(environment) is True
 
 
@@ -190,7 +190,7 @@ def reasons_of(model: Model, state: State, history: tuple[RuleName, ...]) -> tup
 
 @once
 def _reasons_of(model: Model, state: State, rules: tuple[RuleName, ...]) -> tuple[str, ...]:
-    environment = Environment(state.slots, state.known(), {})
+    environment = Environment(state.slots, state.objects, {})
     return tuple(
         reason_words(reason.wording, [value(environment) for value in reason.values])
         for rule in rules

@@ -412,7 +412,7 @@ def judged(dut: str, device: str) -> tuple[list[object], list[Call]]:
     try:
         runner = Runner(Model(load(device)), adapter, adapter.describe())
         cases = list(all_cases(runner.model, NO_LIMITS, "quick"))[::EACH]
-        verdicts = [runner.judge(case) for case in cases]
+        verdicts = [runner.executor.judge(case) for case in cases]
     finally:
         adapter.close()
     assert len(verdicts) > 20

@@ -596,7 +596,7 @@ def test_walks_of_an_earlier_start_are_found_again(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     walked: list[str] = []
 
-    def counted(device: Watched, setup: Setup, *more: Any) -> Explored:  # noqa: ANN401  passed on
+    def counted(device: ObservedDevice, setup: Setup, *more: Any) -> Explored:  # noqa: ANN401  passed on
         walked.append(setup.name)
         return explored(device, setup, *more)
 

@@ -97,7 +97,7 @@ class Explored:
     seen: Mapping[str, Seen] = field(hash=False)
 
 
-_Place: TypeAlias = "tuple[Snapshot, Mapping[int, Pattern], bool, Mapping[str, int] | None, int]"
+_Place: TypeAlias = "tuple[Snapshot, Mapping[int, Value], bool, Mapping[str, int] | None, int]"
 """Where a device is: what it is itself, what it was free to choose, whether something was left free
 lately, the words that are written cyclically, the mailbox counter."""
 

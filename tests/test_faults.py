@@ -84,7 +84,6 @@ SECOND: Final = frozenset(
         "command_in_safeop",
         "complete_part_too_far",
         "connection_fault_missing",
-        "connection_kept",
         "emergency_with_more_data",
         "enabled_word_disables",
         "entry_access_of_any_state",

@@ -35,6 +35,7 @@ from ecatspec.spec.language.ir import (
     Condition,
     Conditional,
     Confirm,
+    Declaration,
     Definition,
     Dictionary,
     EsiEntry,
@@ -1387,8 +1388,19 @@ declarations = st.one_of(
         many(gap),
     ),
 )
-texts = st.builds(SourceText, names, words, st.none() | names, many(declarations)) | st.builds(
-    SourceText, names, words, st.none(), many(declarations), st.just(value=True)
+
+
+def read_apart(chosen: tuple[Declaration, ...]) -> bool:
+    """Whether no change follows a fault directly: the parser reads such a change into the fault."""
+    return not any(
+        isinstance(before, Fault) and isinstance(after, (Replace, Remove, Extend, ReplaceField))
+        for before, after in itertools.pairwise(chosen)
+    )
+
+
+bodies = many(declarations).filter(read_apart)
+texts = st.builds(SourceText, names, words, st.none() | names, bodies) | st.builds(
+    SourceText, names, words, st.none(), bodies, st.just(value=True)
 )
 
 

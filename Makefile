@@ -1,4 +1,4 @@
-# The only place for the commands of development. `make help` lists them. Nothing here needs root.
+# The commands of development. `make help` lists them. Nothing here needs root.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -47,7 +47,7 @@ docs: $(VENV)/installed  ## write the chapters and tables under docs/ anew (some
 	$(BIN)/python docs/generate.py
 
 chip: $(VENV)/installed  ## write the numbers of ecatspec_chip.h anew, after a change of the texts
-	$(BIN)/python -m ecatspec.conformance.chip conformance/adapters/ecatspec_chip.h
+	$(BIN)/python -m ecatspec.conformance.adapters.chip_header conformance/adapters/ecatspec_chip.h
 
 site: $(VENV)/developed  ## build the documentation as HTML in site/, without a network
 	$(BIN)/python -m sphinx -q -W -j auto -c docs . site

@@ -11,7 +11,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.base.adapter import (
     Adapter,
     AdapterError,
     Description,
@@ -20,20 +22,17 @@ from ecatspec.conformance.adapter import (
     DeviceHang,
     DeviceRubbish,
 )
-from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
+from ecatspec.conformance.base.devices import UserError, load, nearest
+from ecatspec.conformance.base.verdict import Outcome, Result, TraceLine, Verdict
+from ecatspec.conformance.capture.monitor import monitor_file
 from ecatspec.conformance.capture.transactions import CaptureError
-from ecatspec.conformance.devices import UserError, load, nearest
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.known import of
-from ecatspec.conformance.monitor import monitor_file
 from ecatspec.conformance.reports import REPORTS
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.stateful import state_machine
+from ecatspec.conformance.results.known_deviations import of
+from ecatspec.conformance.run.runner import run_device
+from ecatspec.conformance.run.state_machine import state_machine
 from ecatspec.conformance.vectors.command import replay
 from ecatspec.conformance.vectors.export import Wanted, export
-from ecatspec.conformance.verdict import Outcome, Result, TraceLine, Verdict
-from ecatspec.generators import strategies
-from ecatspec.generators.case import (
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Case,
     Happen,
@@ -55,13 +54,14 @@ from ecatspec.generators.case import (
     WriteRegisters,
     WriteUntilTaken,
 )
-from ecatspec.generators.client import played
-from ecatspec.generators.depths import DEPTHS
+from ecatspec.generators.cases.case_codec import case_of, token_of
+from ecatspec.generators.cases.client import played
+from ecatspec.generators.cases.depths import DEPTHS
+from ecatspec.generators.cases.stimulus import frame_bytes
 from ecatspec.generators.formats import FORMATS
-from ecatspec.generators.stimulus import frame_bytes
+from ecatspec.generators.random import strategies
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.token import case_of, token_of
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import device_names
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The only place that measures ways to a device: the same exchanges through each, and bare.
+"""Measures ways to a device: the same exchanges through each, and bare.
 
 The device is examples/c_slave. The bare call is that of ctypes with declared types, into the
 library in this process, and nothing else.
@@ -38,13 +38,13 @@ from measure import (
     profiled,
 )
 
-from ecatspec.conformance.adapter import DeviceCrash
 from ecatspec.conformance.adapters import lib, open_adapter
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.libraries import HEADERS
-from ecatspec.conformance.session import Session
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.adapters.shared_library import HEADERS
+from ecatspec.conformance.base.adapter import DeviceCrash
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run.session import Session
+from ecatspec.model.core.compilation import Model
 from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
     from exchanges import Bound, Call
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
 
 SOURCES: Final = ROOT / "examples" / "c_slave"
 TEXT: Final = str(SOURCES / "slave.ecs")

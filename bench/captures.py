@@ -1,4 +1,4 @@
-"""The only place that measures the monitor: large captures, judged by us and written by tshark.
+"""Measures the monitor: large captures, judged by us and written by tshark.
 
 The captures are those of the folder of evidence, repeated with their times shifted until the file
 is as large as wanted. The rival dissects the same frames and writes of each what the monitor looks
@@ -34,7 +34,7 @@ from measure import (
     shared,
 )
 
-from ecatspec.conformance.monitor import monitor_file
+from ecatspec.conformance.capture.monitor import monitor_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,7 +54,7 @@ MEGABYTE: Final = 1_000_000
 
 @contextmanager
 def repeated(name: str, times: int | None = None, size: int = 0) -> Iterator[tuple[Path, int]]:
-    """Give a capture that is one of ours so often, or so many bytes long, and its frames."""
+    """Give a capture that repeats one of ours, by count or to a size in bytes, and its frames."""
     with shared("captures", f"{name}.pcapng").open("rb") as stream:
         packets = list(dpkt.pcapng.Reader(stream))
     span = packets[-1][0] - packets[0][0] + 1

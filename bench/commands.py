@@ -1,4 +1,4 @@
-"""The only place that measures whole commands: their start, proofs, runs with workers, memory."""
+"""Measures whole commands: their start, proofs, runs with workers, memory."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def memory(rows: tuple[Row, ...], effort: Effort) -> Found:
 
 def judged(effort: Effort) -> Profile:
     """Profile a run in one process: what workers could share, and what they could not."""
-    from ecatspec.conformance.runner import run_device  # noqa: PLC0415
+    from ecatspec.conformance.run.runner import run_device  # noqa: PLC0415
 
     device = effort.of(DEVICE, FEW, FEW)
     work = partial(run_device, device, "model", depth="quick")

@@ -1,4 +1,4 @@
-"""The only place that measures suites of finite machines: ours beside AALpy's, in one run.
+"""Measures suites of finite machines: ours beside AALpy's, in one run.
 
 Machines are those of the folder of evidence and those made of device texts. Seconds are those of
 the processor, the best of the rounds. FSMlib is a C++ program that is not run here: its figures
@@ -36,8 +36,8 @@ from ecatspec.generators.complete.chain import chain_suite
 from ecatspec.generators.complete.faults import kills
 from ecatspec.generators.complete.machines import al_machine, drive_machine
 from ecatspec.generators.complete.suites import Checked, Suite, hsi_suite, w_suite
-from ecatspec.model.compiled import Model
-from ecatspec.model.mealy import Mealy, distinguishing_word, minimise, read_machine
+from ecatspec.model.automata.mealy import Mealy, distinguishing_word, minimise, read_machine
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The only place that measures comparisons: of two finite machines, and `ecatspec diff`.
+"""Measures comparisons: of two finite machines, and `ecatspec diff`.
 
 The rival of a comparison is AALpy on the same Mealy machines, which are made before the clock runs:
 `bisimilar` gives one word that tells two machines apart, `compare_automata` looks for several.
@@ -33,13 +33,13 @@ from measure import (
 
 from ecatspec.conformance.diff.behaviour import product
 from ecatspec.conformance.diff.machines import BOTH, Explored, ObservedDevice, explored, setups
-from ecatspec.model.mealy import alike, distinguishing_word
+from ecatspec.model.automata.mealy import alike, distinguishing_word
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.mealy import Mealy
+    from ecatspec.model.automata.mealy import Mealy
 
 PAIR: Final = ("kollmorgen-akd", "kollmorgen-s300")
 TARGET: Final = Target(Of.RATIO, 10.0, least=True)

@@ -1,4 +1,4 @@
-"""The only place that measures checked exchanges beside bare ones, on the virtual SubDevice.
+"""Measures checked exchanges beside bare ones, on the virtual SubDevice.
 
 The exchanges are those of all SDO uploads of a device. The rival gets the same calls in the same
 order and nobody looks at what it answers.
@@ -16,21 +16,21 @@ from typing import TYPE_CHECKING, Final, TypeAlias, cast
 from measure import Effort, Found, Of, Part, Profile, Row, Table, Target, each, in_turns, profiled
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.process import ProcessAdapter
-from ecatspec.conformance.session import Session
-from ecatspec.generators.case import NO_LIMITS
-from ecatspec.generators.sdo_cover import sdo_cover
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.adapters.process import ProcessAdapter
+from ecatspec.conformance.run.session import Session
+from ecatspec.generators.cases.case import NO_LIMITS
+from ecatspec.generators.covers.sdo_cover import sdo_cover
+from ecatspec.model.core.compilation import Model
 from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.generators.case import Case
-    from ecatspec.model.candidates import Exchange, Mismatch
-    from ecatspec.model.values import ObjectKey
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.generators.cases.case import Case
+    from ecatspec.model.core.values import ObjectKey
+    from ecatspec.model.oracle.explanations import Exchange, Mismatch
 
 Call: TypeAlias = tuple[str, tuple[object, ...]]
 """A method by name, and its arguments."""
@@ -38,7 +38,7 @@ Bound: TypeAlias = "Sequence[tuple[Callable[..., object], tuple[object, ...]]]"
 """The same with the method itself."""
 
 DEVICE: Final = "kollmorgen-akd"
-HOST: Final = "ecatspec.conformance.host"
+HOST: Final = "ecatspec.conformance.adapters.host"
 CASES: Final = "sdo/upload/"
 CHOICES: Final = {"emulation": "none", "mailbox_support": "present"}
 

@@ -1,4 +1,4 @@
-"""The only place that measures how the time grows: with cases, objects, rules and frames.
+"""Measures how the time grows: with cases, objects, rules and frames.
 
 Each size is twice the one before, and the time of a size of nothing is taken off, so that what a
 start costs does not hide how the rest grows. Texts of any size are made here.
@@ -17,16 +17,16 @@ from complete import best
 from measure import Curve, Effort, Figure, Found, Of, Part, Profile, Row, Target, profiled
 from walks import runner_of
 
-from ecatspec.conformance.monitor import monitor_file
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.capture.monitor import monitor_file
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device, load_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from ecatspec.generators.case import Case
+    from ecatspec.generators.cases.case import Case
 
     Sized = Callable[[int], Callable[[], object]]
     """Give the work of a size, made ready so that only the work is timed."""
@@ -46,7 +46,7 @@ _CLAUSE: Final = '\nclause GRO-01 must "it grows" source "this text"\n\n'
 
 
 def text_of_objects(count: int) -> str:
-    """Give a device with so many objects."""
+    """Give a device with a number of objects."""
     rows = [
         f"  0x{0x2000 + n:04X} : 0 entry_{n} u16 rw = {n % 1000} [GRO-01]" for n in range(count)
     ]
@@ -56,7 +56,7 @@ def text_of_objects(count: int) -> str:
 
 
 def text_of_rules(count: int, on_an_input: int = ON_AN_INPUT) -> str:
-    """Give a text of the standard with a machine of so many rules."""
+    """Give a text of the standard with a machine with a number of rules."""
     lines = [f'standard grown "a machine with rules"\n{_CLAUSE}table grown_state u4 closed']
     lines += ['  1 IDLE "idle" [GRO-01]', "", 'machine grown "what grows"']
     lines += ["  states   grown_state { IDLE } initial IDLE", "  variable last : u16 = 0"]

@@ -1,4 +1,4 @@
-"""The only place for how benchmarks measure: figures, rows, taking turns, profiles, the machine.
+"""How benchmarks measure: figures, rows, taking turns, profiles, the machine.
 
 A topic is a list of parts. A part says beforehand which rows it will give, so that what cannot be
 measured here is told by name, with the reason, and nothing is left out in silence.
@@ -92,7 +92,7 @@ class Of(Enum):
     FIGURE = "{sign} {limit} {unit}"
     RATIO = "{sign} {limit}x"
     INVERSE = "{sign} {limit}x less"
-    """The rival's figure in ours: so many times fewer, or so many times sooner."""
+    """The rival's figure in ours: how many times fewer, or how many times sooner."""
     ADDED = "{sign} {limit} {unit} more"
 
 
@@ -302,7 +302,7 @@ class Ran:
 
 
 def ran(command: Sequence[str], longest: float = float("inf"), look: float = _LOOK) -> Ran:
-    """Run a command to its end, or for so many seconds, and watch its memory meanwhile."""
+    """Run a command to its end, or for a number of seconds, and watch its memory meanwhile."""
     began = time.perf_counter()
     memory = []
     quiet = subprocess.DEVNULL

@@ -1,4 +1,4 @@
-"""The only place for the command of the benchmarks: one table of everything beside its rival.
+"""The command of the benchmarks: one table of everything beside its rival.
 
     python bench/run.py [--quick] [--only NAME ...] [--json FILE] [--write] [--profile NAME ...]
 
@@ -31,7 +31,7 @@ from measure import HEADS, ROOT, Absent, Effort, Found, Profile, machine, measur
 from rich.console import Console
 from rich.table import Table as Drawn
 
-from ecatspec.conformance.files import write_whole
+from ecatspec.conformance.base.atomic_write import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

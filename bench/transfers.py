@@ -1,4 +1,4 @@
-"""The only place that measures long SDO transfers: ours checked, the rival's between its own ends.
+"""Measures long SDO transfers: ours checked, the rival's between its own ends.
 
 The rival is the package canopen: its client writes and reads an object of its own server over a bus
 that is a call from one to the other. Ours is a session with the virtual SubDevice, and the oracle
@@ -19,17 +19,17 @@ from exchanges import CHOICES
 from measure import Effort, Found, Of, Part, Profile, Row, Target, in_turns, profiled, rate
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.session import Session
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.transfers import normal_download, pattern, read
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run.session import Session
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.transfers import normal_download, pattern, read
+from ecatspec.model.core.compilation import Model
 from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ecatspec.generators.case import Stimulus
+    from ecatspec.generators.cases.case import Stimulus
 
 KEY: Final = (0x2000, 0)
 NODE: Final = 1

@@ -1,4 +1,4 @@
-"""The only place that measures random steps beside those of a Hypothesis state machine.
+"""Measures random steps beside those of a Hypothesis state machine.
 
 Three pairs: steps that a device takes and the oracle judges, the making of the steps alone, and
 steps over the flat tables of a finite machine. The rival's rules have the same inputs: each is one
@@ -23,16 +23,16 @@ from hypothesis.stateful import (
 from measure import Effort, Figure, Found, Of, Part, Profile, Row, Target, number, profiled
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.runner import WALK, Runner
+from ecatspec.conformance.run.runner import WALK, Runner
 from ecatspec.generators.complete.machines import al_drive_machine
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ecatspec.generators.case import Case, Stimulus
-    from ecatspec.model.mealy import Mealy
+    from ecatspec.generators.cases.case import Case, Stimulus
+    from ecatspec.model.automata.mealy import Mealy
 
 DEVICE: Final = "reference-drive"
 
@@ -68,7 +68,7 @@ def state_machine(
 
 
 def explored(machine: type[RuleBasedStateMachine], runs: int) -> None:
-    """Run a state machine so often, with as many steps as a walk has."""
+    """Run a state machine a number of times, with as many steps as a walk has."""
     chosen = settings(
         max_examples=runs,
         stateful_step_count=WALK,

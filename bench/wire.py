@@ -1,4 +1,4 @@
-"""The only place that measures `ecatspec simulate` on a cable, beside a bare echo loop.
+"""Measures `ecatspec simulate` on a cable, beside a bare echo loop.
 
 It makes a network namespace of its own with two cables: at the far end of one is the virtual
 SubDevice, at that of the other a loop that gives each frame back as it is. Both take turns. What is
@@ -38,10 +38,10 @@ from measure import (
     rate,
 )
 
-from ecatspec.generators.stimulus import frame_bytes
-from ecatspec.generators.transfers import upload
-from ecatspec.model.compiled import Model
-from ecatspec.model.wire import COMMANDS, Datagram, Wire, filled, wire_format
+from ecatspec.generators.cases.stimulus import frame_bytes
+from ecatspec.generators.cases.transfers import upload
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, filled, wire_format
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""The only place for testing devices: adapters, runner, verdicts, reports, command line."""
+"""Tests devices: adapters, runs, verdicts, reports, and the command line."""

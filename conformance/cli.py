@@ -1,4 +1,4 @@
-"""The only place for the command line: commands, exit statuses, and how an error is said.
+"""The command line: commands, exit statuses, and the wording of errors.
 
 Status 0: conforms. 1: does not, or was not shown to. 2: the input or the set-up is wrong, nothing
 was judged. 130: stopped by Ctrl-C. What is judged goes to stdout, all else to stderr.
@@ -18,8 +18,8 @@ from typing import IO, TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
-from ecatspec.conformance.version import version
-from ecatspec.generators.depths import DEPTHS
+from ecatspec.conformance.base.version import version
+from ecatspec.generators.cases.depths import DEPTHS
 from ecatspec.generators.formats import FORMATS
 from ecatspec.spec.language.diagnostics import SpecError
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from ecatspec.conformance.record import Record
-    from ecatspec.conformance.results import Basis, Journal
-    from ecatspec.conformance.sheets import Sheet
-    from ecatspec.conformance.trace import Trace
-    from ecatspec.conformance.verdict import Result
+    from ecatspec.conformance.base.verdict import Result
+    from ecatspec.conformance.render.tables import Sheet
+    from ecatspec.conformance.results.run_file import Basis, Journal
+    from ecatspec.conformance.results.run_history import Record
+    from ecatspec.conformance.traceability.trace import Trace
     from ecatspec.spec.language.ir import Protocol
 
     Progress = Callable[[int, int, str], None]
@@ -223,8 +223,8 @@ def run(
     (--dut lib:PATH), a program (--dut "exec:COMMAND ARGUMENTS"), or what else `ecatspec adapters`
     lists.
     """
-    from ecatspec.conformance import known as known_deviations
-    from ecatspec.conformance.devices import load
+    from ecatspec.conformance.base.devices import load
+    from ecatspec.conformance.results import known_deviations
 
     if replay and (results is not None or resume):
         _refuse("one case is no run that could be kept or resumed; leave out --replay")
@@ -249,7 +249,7 @@ def run(
         if alone:
             result = _run(device, dut, options)
         else:
-            from ecatspec.conformance.campaign import Job, crew
+            from ecatspec.conformance.run.campaign import Job, crew
 
             job = Job(
                 device, protocol.digest, dut, mailbox, hang_timeout, choices, accepted.reasons
@@ -269,8 +269,8 @@ def run(
 def adapters(*, as_json: bool, include: bool) -> int:
     """List the ways to reach a device under test, as --dut takes them."""
     from ecatspec.conformance import adapters as reachable
-    from ecatspec.conformance.libraries import HEADERS
-    from ecatspec.conformance.sheets import Sheet
+    from ecatspec.conformance.adapters.shared_library import HEADERS
+    from ecatspec.conformance.render.tables import Sheet
 
     every = reachable.adapters()
     if as_json:
@@ -299,10 +299,10 @@ def compare(*, first: str, second: str, as_json: bool) -> int:
     `last` and `previous`: the newest run of this user, and the one before of the same device. A run
     that goes on counts as far as it is. Exit status: 0 nothing is worse, 1 something is.
     """
-    from ecatspec.conformance import compare as comparing
-    from ecatspec.conformance import record, results
+    from ecatspec.conformance.results import compare as comparing
+    from ecatspec.conformance.results import run_file, run_history
 
-    runs = [results.read(record.named(name)) for name in (first, second)]
+    runs = [run_file.read(run_history.named(name)) for name in (first, second)]
     found = comparing.compare(*runs)
     if as_json:
         _print_json("ecatspec.compare", comparing.as_data(found))
@@ -324,13 +324,13 @@ def monitor(*, file: str, device: str, **reports: Any) -> int:  # noqa: ANN401  
     """
     from pathlib import Path
 
+    from ecatspec.conformance.base.devices import load
     from ecatspec.conformance.capture.transactions import CaptureError
-    from ecatspec.conformance.devices import load
 
     protocol = load(device)
     if "\0" in file:
         _refuse(f"{file!a} is no path; give the path of a pcap or pcapng file")
-    from ecatspec.conformance.monitor import monitor_file
+    from ecatspec.conformance.capture.monitor import monitor_file
 
     try:
         with _written(reports) as write:
@@ -356,8 +356,8 @@ def check(*, files: tuple[str, ...], form: str | None) -> int:
 
     A line for each fault: file:line:column: ECSnnn what is wrong; what to do.
     """
-    from ecatspec.conformance.checked import CHECKS, Checked
-    from ecatspec.conformance.devices import UserError, load
+    from ecatspec.conformance.base.devices import UserError, load
+    from ecatspec.conformance.render.diagnostic_formats import CHECKS, Checked
 
     checked = []
     for file in files:
@@ -391,8 +391,8 @@ def show(*, device: str, machine: str | None, as_json: bool, form: str | None) -
     DEVICE is a name, or a path to a .ecs file.
     `ecatspec show DEVICE faults` lists the faults that can be planted into its virtual SubDevice.
     """
-    from ecatspec.conformance.devices import load
-    from ecatspec.conformance.shown import fault_sheet, machine_sheets, sheets
+    from ecatspec.conformance.base.devices import load
+    from ecatspec.conformance.describe.text_tables import fault_sheet, machine_sheets, sheets
 
     if form is not None:
         return _drawn(device, machine, form, as_json=as_json)
@@ -446,9 +446,14 @@ def trace(
     """
     from pathlib import Path
 
-    from ecatspec.conformance.devices import load
-    from ecatspec.conformance.evidence import shipped
-    from ecatspec.conformance.trace import as_csv, clause_sheet, device_data, total_sheet
+    from ecatspec.conformance.base.devices import load
+    from ecatspec.conformance.traceability.evidence import shipped
+    from ecatspec.conformance.traceability.trace import (
+        as_csv,
+        clause_sheet,
+        device_data,
+        total_sheet,
+    )
     from ecatspec.spec.language.load import device_names
 
     if form == "reqif":
@@ -479,10 +484,10 @@ def trace(
 
 def _measure(device: str, protocol: Protocol, folder: Path) -> None:
     """Look for evidence for each clause of a device, and keep it in a file of the folder."""
-    from ecatspec.conformance.evidence import read, write
-    from ecatspec.conformance.measure import measure
-    from ecatspec.conformance.trace import trace_device
-    from ecatspec.model.compiled import Model
+    from ecatspec.conformance.traceability.evidence import read, write
+    from ecatspec.conformance.traceability.measure import measure
+    from ecatspec.conformance.traceability.trace import trace_device
+    from ecatspec.model.core.compilation import Model
 
     known = _known(device, protocol)
     model = Model(protocol)
@@ -496,9 +501,9 @@ def _measure(device: str, protocol: Protocol, folder: Path) -> None:
 
 def _trace(device: str, protocol: Protocol, folder: Path) -> Trace:
     """Trace a device by the last run that is on record, or by one that is made now."""
-    from ecatspec.conformance.evidence import read
-    from ecatspec.conformance.trace import trace_device
-    from ecatspec.model.compiled import Model
+    from ecatspec.conformance.traceability.evidence import read
+    from ecatspec.conformance.traceability.trace import trace_device
+    from ecatspec.model.core.compilation import Model
 
     known = _known(device, protocol)
     with _set_up("trace"):
@@ -507,20 +512,20 @@ def _trace(device: str, protocol: Protocol, folder: Path) -> Trace:
 
 def _known(device: str, protocol: Protocol) -> Record:
     """Give the last run of a device that is on record, or one that is made now."""
-    from ecatspec.conformance import record
+    from ecatspec.conformance.results import run_history
 
-    known = record.load(protocol)
+    known = run_history.load(protocol)
     if known is None:
         said = f"no run of {protocol.name} is on record: its quick suite runs now, on the model"
         _warn(f"ecatspec: {said}")
         options = {"depth": "quick", "keep": _keeper(None)}
         result = _run(device, "model", options)
-        known = record.record_of(result.subject, result.verdicts)
+        known = run_history.record_of(result.subject, result.verdicts)
     return known
 
 
 def _run(device: str, dut: str, options: Mapping[str, Any]) -> Result:
-    from ecatspec.conformance.runner import run_device
+    from ecatspec.conformance.run.runner import run_device
 
     with _set_up("run"), _progress() as progress:
         return run_device(device, dut, progress=progress, **options)
@@ -530,19 +535,21 @@ def _keeper(path: str | None, *, resume: bool = False) -> Callable[[Basis], Jour
     """Give what opens the journal of a run: in a file, or among the runs of this user."""
     from pathlib import Path
 
-    from ecatspec.conformance import record, results
-    from ecatspec.conformance.devices import UserError
+    from ecatspec.conformance.base.devices import UserError
+    from ecatspec.conformance.results import run_file, run_history
 
     def keep(basis: Basis) -> Journal | None:
         if path is not None:
-            return results.begin(Path(path), basis, resume=resume)
+            return run_file.begin(Path(path), basis, resume=resume)
         try:
-            return record.begin(basis, resume=resume)
+            return run_history.begin(basis, resume=resume)
         except (OSError, UserError) as error:
             if resume:
                 raise
             why = getattr(error, "strerror", None) or error
-            _warn(f"ecatspec: warning: no record of the run is kept in {record.folder()} ({why})")
+            _warn(
+                f"ecatspec: warning: no record of the run is kept in {run_history.folder()} ({why})"
+            )
             return None
 
     return keep
@@ -553,7 +560,7 @@ def _reqif() -> Callable[[Sequence[Trace]], str]:
     from datetime import UTC, datetime
 
     try:
-        from ecatspec.conformance.requirements import reqif
+        from ecatspec.conformance.traceability.requirements import reqif
     except ModuleNotFoundError as error:
         _refuse(f"ReqIF needs the package {error.name}; install ecatspec[reqif]")
     return lambda traces: reqif(traces, datetime.now(UTC))
@@ -569,7 +576,7 @@ def prove(*, device: str | None, as_json: bool) -> int:
     reached. Without DEVICE the standard and all devices.
     """
     from ecatspec.conformance import prove as proofs
-    from ecatspec.conformance.devices import load
+    from ecatspec.conformance.base.devices import load
     from ecatspec.spec.language.ir import STANDARD
     from ecatspec.spec.language.load import device_names
 
@@ -624,7 +631,7 @@ def mutate(
     Every rule of the texts is made wrong in one point after the other, the virtual SubDevice of
     the wrong text is run, and what no case notices is listed. It takes minutes.
     """
-    from ecatspec.conformance.mutate import analyse
+    from ecatspec.conformance.mutation.kill_analysis import analyse
 
     with _progress() as progress:
         found = analyse(
@@ -815,7 +822,7 @@ def schema(*, of: str) -> int:
     if of == "report":
         from ecatspec.conformance.reports.json_report import json_schema
     else:
-        from ecatspec.generators.vectors import json_schema
+        from ecatspec.generators.vectors.schema import json_schema
 
     _print(json.dumps(json_schema(), indent=2, sort_keys=True) + "\n")
     return CONFORMS
@@ -831,7 +838,7 @@ def schema(*, of: str) -> int:
     type=click.IntRange(1, 64),
     default=1,
     show_default=True,
-    help="So many SubDevices one behind the other.",
+    help="Number of SubDevices in line.",
 )
 @click.option(
     "--virtual-time",
@@ -874,7 +881,7 @@ def _output(path: str | None, *, text: bool) -> Iterator[IO[bytes]]:
     """Give where to write to: standard output, or a file that is there whole or not at all."""
     from pathlib import Path
 
-    from ecatspec.conformance.files import whole
+    from ecatspec.conformance.base.atomic_write import whole
 
     if path is None:
         if sys.stdout is None:
@@ -911,7 +918,7 @@ def _drafted(path: str | None) -> Iterator[Callable[[str], None]]:
 @contextmanager
 def _set_up(command: str) -> Iterator[None]:
     """Say what is wrong with the set-up of a command."""
-    from ecatspec.conformance.adapter import AdapterError
+    from ecatspec.conformance.base.adapter import AdapterError
 
     try:
         yield
@@ -948,12 +955,12 @@ def _written(options: Mapping[str, Any]) -> Iterator[Callable[[Sequence[Result],
 
 def _report(results: Sequence[Result], protocol: Protocol, options: Mapping[str, Any]) -> int:
     """Print the results and give the exit status that they deserve."""
+    from ecatspec.conformance.base.verdict import Outcome
     from ecatspec.conformance.reports import REPORTS, judged
-    from ecatspec.conformance.verdict import Outcome
 
     said = REPORTS["json" if options["as_json"] else "text"](results, protocol)
     if not options["as_json"] and sys.stdout is not None and sys.stdout.isatty():
-        from ecatspec.conformance.colours import coloured
+        from ecatspec.conformance.render.colours import coloured
 
         said = coloured(said)
     _print(said)
@@ -973,8 +980,8 @@ def _report(results: Sequence[Result], protocol: Protocol, options: Mapping[str,
 
 
 def _drawn(device: str, machine: str | None, form: str, *, as_json: bool) -> int:
-    from ecatspec.conformance.chapter import chapter
-    from ecatspec.conformance.devices import load, nearest
+    from ecatspec.conformance.base.devices import load, nearest
+    from ecatspec.conformance.describe.device_page import chapter
     from ecatspec.conformance.drawings import DRAWINGS
 
     if form not in DRAWINGS and form != _CHAPTER:
@@ -997,7 +1004,7 @@ def _table(sheet: Sheet) -> str:
     """Give a table as text that fits the terminal."""
     import shutil
 
-    from ecatspec.conformance.sheets import text_table
+    from ecatspec.conformance.render.tables import text_table
 
     return text_table(sheet, shutil.get_terminal_size((_PIPE_WIDTH, 0)).columns)
 
@@ -1048,7 +1055,7 @@ def _plain(line: str) -> str:
 
 
 def _refuse(message: str) -> NoReturn:
-    from ecatspec.conformance.devices import UserError
+    from ecatspec.conformance.base.devices import UserError
 
     raise UserError(message)
 
@@ -1099,7 +1106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for diagnostic in error.diagnostics:
             _warn(str(diagnostic))
     except Exception as error:  # noqa: BLE001  no defect of ours may look like a verdict
-        from ecatspec.conformance.devices import UserError
+        from ecatspec.conformance.base.devices import UserError
 
         if not isinstance(error, UserError):
             traceback.print_exc()

@@ -1,4 +1,4 @@
-"""The only place for what `ecatspec prove` reports: proofs of devices as a table and as data."""
+"""Reports the proofs of devices as a table and as data."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.sheets import Sheet
-from ecatspec.model.obligations import WORDING, Finding, Kind, Status
+from ecatspec.conformance.render.tables import Sheet
+from ecatspec.model.symbolic.obligations import WORDING, Finding, Kind, Status
 from ecatspec.spec.language.ir import STANDARD
 from ecatspec.spec.language.load import device_names, load_device
 
@@ -64,7 +64,7 @@ def prove(
         ModuleNotFoundError: The solver is not installed.
 
     """
-    from ecatspec.model.proofs import Prover
+    from ecatspec.model.symbolic.proofs import Prover
 
     samples = sample_objects() if protocol.name == STANDARD else ()
     timed: list[Timed] = []

@@ -1,4 +1,4 @@
-"""The only place for virtual SubDevices on a network interface, where real MainDevices find them.
+"""Puts virtual SubDevices on a network interface, for real MainDevices.
 
 Their time is that of the clock. They act when a frame comes: what happened meanwhile by itself is
 done before it is answered, so nobody can tell the difference.
@@ -12,16 +12,16 @@ import time
 from typing import TYPE_CHECKING, Final, Self
 
 from ecatspec.conformance.adapters.model import planted
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.interface import LARGEST_FRAME, failed, open_interface
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.mailbox_cover import probe_entry
-from ecatspec.generators.play import play
-from ecatspec.generators.stimulus import frame_bytes
-from ecatspec.generators.transfers import download, upload
-from ecatspec.model.esc import AREAS, SYNC_MANAGERS
-from ecatspec.model.link import LinkedSubDevice, linked
-from ecatspec.model.wire import Wire, wire_format
+from ecatspec.conformance.adapters.raw_socket import LARGEST_FRAME, failed, open_interface
+from ecatspec.conformance.base.devices import load
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.play import play
+from ecatspec.generators.cases.stimulus import frame_bytes
+from ecatspec.generators.cases.transfers import download, upload
+from ecatspec.generators.covers.mailbox_cover import probe_entry
+from ecatspec.model.esc.data_link import LinkedSubDevice, linked
+from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS
+from ecatspec.model.esc.wire import Wire, wire_format
 from ecatspec.spec.language.load import load_link
 
 if TYPE_CHECKING:

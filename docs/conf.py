@@ -1,4 +1,4 @@
-"""The only place for how the site is built: `make site` reads the Markdown of the whole tree.
+"""How the site is built: `make site` reads the Markdown of the whole tree.
 
 The tree is the source, so that a link from docs/ to the README or to an example is one on the site
 too. Nothing is loaded from elsewhere, neither while building nor in the pages.

@@ -1,4 +1,4 @@
-"""The only place that writes what is generated under docs/: chapters, reference, table of swaps.
+"""Writes what is generated under docs/: chapters, reference, table of swaps.
 
 `make docs` runs it. Tests compare the pages with what it writes, and the digests of the table.
 """
@@ -10,20 +10,20 @@ from importlib import resources
 from pathlib import Path
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.chapter import chapter
-from ecatspec.conformance.files import write_whole
-from ecatspec.conformance.reference import grammar_page, standard_page
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Finding, Outcome, Result
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.atomic_write import write_whole
+from ecatspec.conformance.base.verdict import Finding, Outcome, Result
+from ecatspec.conformance.describe.device_page import chapter
+from ecatspec.conformance.describe.reference_pages import grammar_page, standard_page
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec import language
 from ecatspec.spec.language.load import device_names, load_device, standard_texts
 
 DOCS = Path(__file__).resolve().parent
 SHOWN = 3
-"""So many findings of a pair are told in words."""
+"""Maximum number of findings of a pair that are given in words."""
 
 
 def devices() -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The only place that writes docs/mutants.md: what the suite of each device kills.
+"""Writes docs/mutants.md: what the suite of each device kills.
 
 `make mutants` runs it. It runs the commands that it prints, one after the other, which takes long.
 """
@@ -13,9 +13,9 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from ecatspec.conformance.files import write_whole
-from ecatspec.conformance.kills import Fate
-from ecatspec.generators.mutants import Operator
+from ecatspec.conformance.base.atomic_write import write_whole
+from ecatspec.conformance.mutation.fates import Fate
+from ecatspec.generators.mutation.mutants import Operator
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:

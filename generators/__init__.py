@@ -1,1 +1,1 @@
-"""The only place for making tests out of the model."""
+"""Makes tests from the model."""

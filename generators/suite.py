@@ -1,34 +1,34 @@
-"""The only place for the list of generators: what a run consists of, in its order."""
+"""The list of generators: the parts of a run, in their order."""
 
 from __future__ import annotations
 
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.generators.boundary_cover import boundary_cover
-from ecatspec.generators.bringup import possible
-from ecatspec.generators.complete_cover import complete_cover
-from ecatspec.generators.configuration_cover import configuration_cover
-from ecatspec.generators.drive_cover import drive_cover
-from ecatspec.generators.event_cover import event_cover
-from ecatspec.generators.example_cover import example_cover
-from ecatspec.generators.family_cover import family_cover
-from ecatspec.generators.information_cover import information_cover
-from ecatspec.generators.initial_cover import initial_cover
-from ecatspec.generators.mailbox_cover import mailbox_cover
-from ecatspec.generators.named_cover import named_cover
-from ecatspec.generators.process_cover import process_cover
-from ecatspec.generators.register_cover import register_cover
-from ecatspec.generators.sdo_cover import sdo_cover
-from ecatspec.generators.server_cover import server_cover
-from ecatspec.generators.transfer_cover import transfer_cover
-from ecatspec.generators.transition_cover import transition_cover
+from ecatspec.generators.cases.bringup import possible
+from ecatspec.generators.covers.boundary_cover import boundary_cover
+from ecatspec.generators.covers.complete_access_cover import complete_cover
+from ecatspec.generators.covers.configuration_cover import configuration_cover
+from ecatspec.generators.covers.default_cover import initial_cover
+from ecatspec.generators.covers.drive_cover import drive_cover
+from ecatspec.generators.covers.event_cover import event_cover
+from ecatspec.generators.covers.example_cover import example_cover
+from ecatspec.generators.covers.information_cover import information_cover
+from ecatspec.generators.covers.mailbox_cover import mailbox_cover
+from ecatspec.generators.covers.malformed_cover import family_cover
+from ecatspec.generators.covers.named_cover import named_cover
+from ecatspec.generators.covers.process_cover import process_cover
+from ecatspec.generators.covers.register_cover import register_cover
+from ecatspec.generators.covers.sdo_cover import sdo_cover
+from ecatspec.generators.covers.server_cover import server_cover
+from ecatspec.generators.covers.transfer_cover import transfer_cover
+from ecatspec.generators.covers.transition_cover import transition_cover
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from ecatspec.generators.case import Case, Limits
-    from ecatspec.model.compiled import Model
+    from ecatspec.generators.cases.case import Case, Limits
+    from ecatspec.model.core.compilation import Model
     from ecatspec.spec.language.ir import ObjectEntry
 
 GENERATORS: Final[Mapping[str, Callable[[Model, Limits], Iterator[Case]]]] = MappingProxyType(

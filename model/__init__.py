@@ -1,1 +1,1 @@
-"""The only place for what the texts mean: values, steps and the virtual SubDevice."""
+"""The meaning of the texts: values, steps, and the virtual SubDevice."""

@@ -1,1 +1,1 @@
-"""The only place for the texts of the specification and for the code that reads them."""
+"""The texts of the specification, and the code that reads them."""

@@ -1,4 +1,4 @@
-"""The only place for what tests know of examples/c_slave, and of the compiler that builds it."""
+"""What tests know of examples/c_slave, and of the compiler that builds it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ecatspec.conformance.libraries import HEADERS
+from ecatspec.conformance.adapters.shared_library import HEADERS
 
 SOURCES = Path(__file__).resolve().parent.parent / "examples" / "c_slave"
 TEXT = str(SOURCES / "slave.ecs")

@@ -1,4 +1,4 @@
-"""The only place for how findings are counted against causes: docs/findings.md, and who fills it.
+"""How findings are counted against causes: docs/findings.md, and who fills it.
 
 ECATSPEC_RENEW=1 python -m pytest tests/test_findings.py
 """
@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Final
 
 from grounds import ground_of, suite
 
-from ecatspec.conformance.verdict import CAUSED, Result
+from ecatspec.conformance.base.verdict import CAUSED, Result
 from ecatspec.spec.language.load import load_faults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ecatspec.conformance.verdict import Finding
+    from ecatspec.conformance.base.verdict import Finding
 
 PAGE: Final = Path(__file__).parents[1] / "docs" / "findings.md"
 EVERY: Final = 12

@@ -1,4 +1,4 @@
-"""The only place for what all tests share: the Hypothesis profile and the folder of evidence."""
+"""What all tests share: the Hypothesis profile and the folder of evidence."""
 
 import gc
 import os

@@ -1,17 +1,17 @@
-"""The only place for a virtual drive on the desk of tests: its AL state and its mailbox."""
+"""A virtual drive on the desk of tests: its AL state and its mailbox."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.generators.bringup import mailbox_settings, request, way_to
-from ecatspec.generators.play import play
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.generators.cases.bringup import mailbox_settings, request, way_to
+from ecatspec.generators.cases.play import play
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.values import Value
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.values import Value
 
 STATES: Final = ("INIT", "PREOP", "SAFEOP", "OP")
 WAYS: Final = frozenset(

@@ -1,4 +1,4 @@
-"""The only place for the grounds on which faults are looked for, and devices shown to be sound."""
+"""The grounds on which faults are looked for, and devices shown to be sound."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ import pytest
 from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS, Case
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.generators.cases.case import NO_LIMITS, Case
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Fault, Remove, Replace
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from ecatspec.conformance.runner import Runner
+    from ecatspec.conformance.run.runner import Runner
 
 DEPTH = "quick"
 SMALL = "40"

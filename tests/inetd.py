@@ -1,4 +1,4 @@
-"""The only place for what serves a program at a socket: one process for each connection."""
+"""What serves a program at a socket: one process for each connection."""
 
 from __future__ import annotations
 

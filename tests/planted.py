@@ -1,4 +1,4 @@
-"""The only place for devices that violate a claim, as the files in tests/claims say it by hand.
+"""Devices that violate a claim, as the files in tests/claims say it by hand.
 
 A violation is an edit of the text of a device, or where that has no such place, of the standard:
 lines with `-` are what is there and lines with `+` after them what stands there instead; where no

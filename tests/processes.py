@@ -1,4 +1,4 @@
-"""The only place for looking at the processes and descriptors that a test may leave behind."""
+"""Looking at the processes and descriptors that a test may leave behind."""
 
 from __future__ import annotations
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.session import NOTHING, Session, SessionSnapshot
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.session import NOTHING, Session, SessionSnapshot
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping
 
     from ecatspec.conformance.adapters.model import VirtualAdapter
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.subdevice import Snapshot
-    from ecatspec.model.values import ObjectKey
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.values import ObjectKey
+    from ecatspec.model.esc.subdevice import Snapshot
 
 _PATHS = 4
 """So many beginnings are kept: what a device was known to do, and to have, at power-on."""

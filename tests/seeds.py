@@ -1,4 +1,4 @@
-"""The only place for programs of tests that run where sets have another order."""
+"""Programs of tests that run where sets have another order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for the short run that tests of results and campaigns share."""
+"""The short run that tests of results and campaigns share."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance import runner
-from ecatspec.conformance.devices import load
-from ecatspec.generators.case import NO_LIMITS
-from ecatspec.generators.finite_cover import complete_suites
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run import runner
+from ecatspec.generators.cases.case import NO_LIMITS
+from ecatspec.generators.covers.finite_cover import complete_suites
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     import pytest
 
-    from ecatspec.conformance.verdict import Result
-    from ecatspec.generators.case import Case, Limits
-    from ecatspec.generators.finite_cover import Complete
+    from ecatspec.conformance.base.verdict import Result
+    from ecatspec.generators.cases.case import Case, Limits
+    from ecatspec.generators.covers.finite_cover import Complete
 
 SMALL = "reference"
 DRIVE = "reference-drive"

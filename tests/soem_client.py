@@ -1,4 +1,4 @@
-"""The only place for a real MainDevice (SOEM, by the package pysoem): a script, run by tests.
+"""A real MainDevice (SOEM, by the package pysoem): a script, run by tests.
 
     python soem_client.py IFACE INDEX SUBINDEX HEXDATA [INDEX SUBINDEX HEXDATA ...]
 

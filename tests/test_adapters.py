@@ -1,4 +1,4 @@
-"""The only place for the tests of the table of adapters, the host and the package canopen."""
+"""Tests of the table of adapters, the host and the package canopen."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from ecatspec.conformance import adapters
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters import ADAPTERS, FACTORIES, open_adapter, parse_options
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.adapters.process import ProcessAdapter
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     Description,
     DeviceCrash,
     check_duration,
     check_span,
 )
-from ecatspec.conformance.adapters import ADAPTERS, FACTORIES, open_adapter, parse_options
-from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.process import ProcessAdapter
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import Case, Probe
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.case import Case, Probe
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Access, ObjectEntry, SInt, Text, UInt
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
     from ecatspec.spec.language.ir import Protocol
 
 DESCRIPTION = Description("a", frozenset({"sdo", "al"}), virtual_time=True, closed_dictionary=False)
@@ -48,8 +48,9 @@ DESCRIPTION = Description("a", frozenset({"sdo", "al"}), virtual_time=True, clos
 # A hosted device that prints, fails on address 1, leaves on address 2 and refuses address 3.
 HOSTED = """
 import os, sys
-from ecatspec.conformance import adapters, host
-from ecatspec.conformance.adapter import AdapterError, Description
+from ecatspec.conformance import adapters
+from ecatspec.conformance.adapters import host
+from ecatspec.conformance.base.adapter import AdapterError, Description
 class Device:
     def reset(self): print("reset", flush=True)
     def read(self, address, length):

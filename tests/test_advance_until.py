@@ -1,4 +1,4 @@
-"""The only place for tests that a run which goes through its waits at once sees nothing else."""
+"""Tests that a run which goes through its waits at once sees nothing else."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from typing import TYPE_CHECKING, Final, cast
 import pytest
 from c_device import SOURCES, TEXT, build
 
-from ecatspec.conformance.adapter import Description, DeviceCrash, step_until
 from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.adapters.contract_test import check_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, planted
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.session import Session
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.adapter import Description, DeviceCrash, step_until
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.session import Session
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter, Reading, Span
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Case
-    from ecatspec.model.candidates import Exchange
+    from ecatspec.conformance.base.adapter import Adapter, Reading, Span
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Case
+    from ecatspec.model.oracle.explanations import Exchange
 
 EACH: Final = 41
 """Of the cases of a quick run one in this number is played, by every device and in both ways."""

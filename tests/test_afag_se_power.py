@@ -1,4 +1,4 @@
-"""The only place for tests of the text of the Afag SE-Power: four PDOs, 4 bytes, CoE alone."""
+"""Tests of the text of the Afag SE-Power: four PDOs, 4 bytes, CoE alone."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from desk import STATES, WAYS, Desk, shown, to, way
 
-from ecatspec.generators.case import Happen, SetUpProcessData, WriteOutputs, WriteRegister
-from ecatspec.generators.play import play
-from ecatspec.model.compiled import Model
-from ecatspec.model.interpreter import step
-from ecatspec.model.state import Event
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import admits
+from ecatspec.generators.cases.case import Happen, SetUpProcessData, WriteOutputs, WriteRegister
+from ecatspec.generators.cases.play import play
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.state import Event
+from ecatspec.model.core.values import admits
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Access, AnyValue, Conditional, Literal, UInt
 from ecatspec.spec.language.load import load_device, load_faults
 
 if TYPE_CHECKING:
-    from ecatspec.model.state import State
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.state import State
+    from ecatspec.model.core.values import Value
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
 
 FAULTS = 20

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec import api
-from ecatspec.model.wire import COMMANDS, Datagram, Wire, wire_format
+from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, wire_format
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The only place for tests of our ESC as a foreign stack sees it."""
+"""Tests of our ESC as a foreign stack sees it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from functools import cache
 
 import pytest
 
-from ecatspec.model.bare import BareSubDevice
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import field_mask
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.esc import field_mask
+from ecatspec.model.esc.stack_harness import BareSubDevice
 from ecatspec.spec.language.load import load_device
 
 MAILBOXES = bytes.fromhex("00108000260001008010800022000100")

@@ -1,4 +1,4 @@
-"""The only place for tests of the text of the Beckhoff EL6720: its page, BOOT, and its checks."""
+"""Tests of the text of the Beckhoff EL6720: its page, BOOT, and its checks."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from desk import to
 
-from ecatspec.generators.bringup import mailbox_settings, way_to
-from ecatspec.generators.case import SetUpProcessData, Stimulus, WriteOutputs
-from ecatspec.generators.play import play
-from ecatspec.model.compiled import Model
-from ecatspec.model.interpreter import step
-from ecatspec.model.state import Event
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.generators.cases.bringup import mailbox_settings, way_to
+from ecatspec.generators.cases.case import SetUpProcessData, Stimulus, WriteOutputs
+from ecatspec.generators.cases.play import play
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.state import Event
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Access, Level, Literal, OneOf, Range, Text
 from ecatspec.spec.language.load import load_device, load_faults
 
 if TYPE_CHECKING:
-    from ecatspec.model.state import State
+    from ecatspec.model.core.state import State
     from ecatspec.spec.language.ir import Protocol
 
 

@@ -1,4 +1,4 @@
-"""The only place for tests of bench/: its arithmetic, what it writes, and that all of it works."""
+"""Tests of bench/: its arithmetic, what it writes, and that all of it works."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for tests of the clause that a finding names first, and of hidden causes."""
+"""Tests of the clause that a finding names first, and of hidden causes."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
-from ecatspec.conformance.adapter import AdapterError, DeviceCrash, DeviceHang
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.marks import headline
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.session import Session
-from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.adapter import AdapterError, DeviceCrash, DeviceHang
+from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
+from ecatspec.conformance.render.marks import headline
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.session import Session
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.blame import strongest_first
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
+from ecatspec.model.oracle.blame import strongest_first
 from ecatspec.spec.language.load import load_device, load_faults, plant
 
 if TYPE_CHECKING:
-    from ecatspec.generators.case import Case
+    from ecatspec.generators.cases.case import Case
 
 DEVICE: Final = "reference"
 WIDE: Final = "counter_stuck"

@@ -1,4 +1,4 @@
-"""The only place for tests of boundary vectors: they decide, agree with trying, and kill."""
+"""Tests of boundary vectors: they decide, agree with trying, and kill."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from seeds import printed_twice
 pytest.importorskip("z3")
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.boundary_cover import BoundaryCases, boundary_cases, boundary_cover
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import NO_LIMITS, Probe, SendFrame
-from ecatspec.generators.play import play
-from ecatspec.model import boundaries
-from ecatspec.model.boundaries import Boundaries, Boundary
-from ecatspec.model.comparisons import Side
-from ecatspec.model.compiled import Model
-from ecatspec.model.interpreter import step
-from ecatspec.model.state import Event
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.case import NO_LIMITS, Probe, SendFrame
+from ecatspec.generators.cases.play import play
+from ecatspec.generators.covers.boundary_cover import BoundaryCases, boundary_cases, boundary_cover
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.state import Event
+from ecatspec.model.esc.subdevice import VirtualSubDevice
+from ecatspec.model.symbolic import boundary_values
+from ecatspec.model.symbolic.boundary_values import Boundaries, Boundary
+from ecatspec.model.symbolic.guard_atoms import Side
 from ecatspec.spec.language.ir import Binary
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import parts_of
@@ -76,7 +76,7 @@ class Kept(Boundaries):
 @cache
 def covered(device: str) -> BoundaryCases:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(boundaries, "Boundaries", Kept)
+        patch.setattr(boundary_values, "Boundaries", Kept)
         return boundary_cases(Model(load_device(device)), () if device == DEVICE else SMALL)
 
 
@@ -155,8 +155,8 @@ def test_what_lies_in_no_input_is_left_out_with_its_reason() -> None:
 def test_the_cases_are_the_same_again() -> None:
     """Also where sets have another order."""
     program = f"""
-from ecatspec.generators.boundary_cover import boundary_cases
-from ecatspec.model.compiled import Model
+from ecatspec.generators.covers.boundary_cover import boundary_cases
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 print(*boundary_cases(Model(load_device("{DEVICE}")), ("mailbox",)).cases, sep="\\n")

@@ -1,4 +1,4 @@
-"""The only place for the tests of our pages in a browser: Debian's Chromium, led by Playwright."""
+"""Tests of our pages in a browser: Debian's Chromium, led by Playwright."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect, sync_playwright
 
+from ecatspec.conformance.base.verdict import Outcome, Result, SetUp, TraceLine, Verdict
 from ecatspec.conformance.diff.comparison import Comparison
 from ecatspec.conformance.diff.page import page as diff_page
 from ecatspec.conformance.reports import REPORTS
-from ecatspec.conformance.verdict import Outcome, Result, SetUp, TraceLine, Verdict
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:

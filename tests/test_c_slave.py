@@ -1,4 +1,4 @@
-"""The only place for tests of examples/c_slave: it conforms, and each planted fault is found."""
+"""Tests of examples/c_slave: it conforms, and each planted fault is found."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from c_device import SOURCES, TEXT, WHERE, build, library, sanitizes
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from ecatspec.conformance.adapter import AdapterError
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.process import ProcessAdapter
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.adapters.process import ProcessAdapter
+from ecatspec.conformance.base.adapter import AdapterError
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import Esc
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.esc import Esc
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Case
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Case
 
 DEPTH = "quick"
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from ecatspec.model import compiled
-from ecatspec.model.cache import Cache
-from ecatspec.model.compiled import Model
-from ecatspec.model.once import once
+from ecatspec.model.core import compilation
+from ecatspec.model.core.cache import Cache
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.memo import once
 from ecatspec.spec.language.load import load_device
 
 
@@ -19,7 +19,7 @@ def test_a_full_cache_forgets_its_oldest_entry_alone() -> None:
 def test_each_model_keeps_its_own_answers_and_not_more_than_the_limit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiled, "_ANSWERS", 2)
+    monkeypatch.setattr(compilation, "_ANSWERS", 2)
     asked: list[tuple[bool, int]] = []
 
     @once

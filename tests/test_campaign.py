@@ -1,4 +1,4 @@
-"""The only place for tests of campaigns: several workers give the verdicts that one gives."""
+"""Tests of campaigns: several workers give the verdicts that one gives."""
 
 from __future__ import annotations
 
@@ -17,28 +17,29 @@ import pytest
 from distributed import Client, LocalCluster
 from short import DRIVE, FAULT, SMALL, same, shorten
 
-from ecatspec.conformance import campaign, cli, runner
-from ecatspec.conformance.adapter import AdapterError, Description
+from ecatspec.conformance import cli
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
-from ecatspec.conformance.campaign import Job, Workers, crew, stands
-from ecatspec.conformance.devices import UserError, load, pinned
-from ecatspec.conformance.dut_knowledge import SHAPE
-from ecatspec.conformance.pools import Died
-from ecatspec.conformance.results import begin, read
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.steps import Judged, Knowledge, Learned, Search, Trial
-from ecatspec.conformance.verdict import Outcome, Verdict
-from ecatspec.generators.case import NO_LIMITS, Case
+from ecatspec.conformance.base.adapter import AdapterError, Description
+from ecatspec.conformance.base.devices import UserError, load, pinned
+from ecatspec.conformance.base.verdict import Outcome, Verdict
+from ecatspec.conformance.results.run_file import begin, read
+from ecatspec.conformance.run import campaign, runner
+from ecatspec.conformance.run.campaign import Job, Workers, crew, stands
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.conformance.run.work_items import Judged, Knowledge, Learned, Search, Trial
+from ecatspec.conformance.run.worker_pools import Died
+from ecatspec.generators.cases.case import NO_LIMITS, Case
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.conformance.pools import Answer
-    from ecatspec.conformance.steps import Step
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.conformance.run.work_items import Step
+    from ecatspec.conformance.run.worker_pools import Answer
 
 
 @pytest.fixture(autouse=True)
@@ -342,8 +343,8 @@ def test_a_worker_that_dies_takes_no_case_with_it(tmp_path: Path) -> None:
 
 _ORPHANS = """
 import sys; sys.path = {path}
-from ecatspec.conformance.campaign import Job, crew
-from ecatspec.conformance.devices import load
+from ecatspec.conformance.run.campaign import Job, crew
+from ecatspec.conformance.base.devices import load
 if __name__ == "__main__":
     with crew(Job("reference", load("reference").digest, "model", "", 10.0), 2, "") as workers:
         workers.adapter()

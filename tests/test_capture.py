@@ -1,4 +1,4 @@
-"""The only place for the tests of conformance/capture: captures made, broken and real."""
+"""Tests of conformance/capture: captures made, broken and real."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from ecatspec.conformance.capture.transactions import (
     CaptureError,
     Statistics,
 )
-from ecatspec.model.fmmu import fmmu_registers
-from ecatspec.model.wire import Bits, WireFormat
+from ecatspec.model.esc.fmmu import fmmu_registers
+from ecatspec.model.esc.wire import Bits, WireFormat
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:

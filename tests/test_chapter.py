@@ -1,4 +1,4 @@
-"""The only place for tests of what is generated under docs/."""
+"""Tests of what is generated under docs/."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from grounds import DEVICES
 
 from ecatspec.conformance import cli
-from ecatspec.conformance.chapter import chapter
+from ecatspec.conformance.describe.device_page import chapter
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:

@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import pytest
 from c_device import SOURCES, build, library
 
-from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import lib, open_adapter
-from ecatspec.conformance.chip import BEGIN, END, header
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.libraries import HEADERS
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.adapters.chip_header import BEGIN, END, header
+from ecatspec.conformance.adapters.shared_library import HEADERS
+from ecatspec.conformance.base.adapter import AdapterError
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter, Description
+    from ecatspec.conformance.base.adapter import Adapter, Description
 
     Call: TypeAlias = tuple[object, ...]
 

@@ -1,4 +1,4 @@
-"""The only place for tests that claims drawn at random are tested: each violated by hand, found."""
+"""Tests that claims drawn at random are tested: each violated by hand, found."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from planted import Violation, violations
 
+from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import FOUND, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.verdict import FOUND, Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from ecatspec.generators.case import Case
+    from ecatspec.generators.cases.case import Case
     from ecatspec.spec.language.ir import Protocol
 
 VIOLATIONS: Final = tuple(violations())

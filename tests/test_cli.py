@@ -1,4 +1,4 @@
-"""The only place for the tests of the command line: exit statuses, and what each wrong input says.
+"""Tests of the command line: exit statuses, and what each wrong input says.
 
 The runner and the monitor have tests of their own: here most runs are played.
 """
@@ -20,21 +20,25 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from ecatspec.conformance import cli, monitor, mutate, record, runner
-from ecatspec.conformance.adapter import AdapterError
+from ecatspec.conformance import cli
 from ecatspec.conformance.adapters import HANG_TIMEOUT
-from ecatspec.conformance.kills import Analysis, Fate, Fated, TableKills
-from ecatspec.conformance.shown import machine_sheets, sheets
+from ecatspec.conformance.base.adapter import AdapterError
+from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
+from ecatspec.conformance.capture import monitor
+from ecatspec.conformance.describe.text_tables import machine_sheets, sheets
+from ecatspec.conformance.mutation import kill_analysis
+from ecatspec.conformance.mutation.fates import Analysis, Fate, Fated, TableKills
+from ecatspec.conformance.results import run_history
+from ecatspec.conformance.run import runner
 from ecatspec.conformance.vectors import replay
 from ecatspec.conformance.vectors.record import Recorder, RestlessError
-from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.generators.case import Case
+from ecatspec.generators.cases.case import Case
+from ecatspec.generators.cases.case_codec import token_of
+from ecatspec.generators.cases.depths import DEPTHS
 from ecatspec.generators.complete.faults import Kills
-from ecatspec.generators.depths import DEPTHS
 from ecatspec.generators.formats import FORMATS, Format
-from ecatspec.generators.mutants import Mutant, Operator
+from ecatspec.generators.mutation.mutants import Mutant, Operator
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.token import token_of
 from ecatspec.spec.language.ir import Span
 from ecatspec.spec.language.load import device_names, load_device, load_faults, load_standard
 
@@ -42,12 +46,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from ecatspec.conformance.known import Accepted
-    from ecatspec.conformance.results import Basis, Journal
-    from ecatspec.conformance.steps import Crew
-    from ecatspec.generators.case import Limits
-    from ecatspec.generators.vectors import Test
-    from ecatspec.model.compiled import Model
+    from ecatspec.conformance.results.known_deviations import Accepted
+    from ecatspec.conformance.results.run_file import Basis, Journal
+    from ecatspec.conformance.run.work_items import Crew
+    from ecatspec.generators.cases.case import Limits
+    from ecatspec.generators.vectors.schema import Test
+    from ecatspec.model.core.compilation import Model
 
     Call = Callable[..., tuple[int, str, str]]
 
@@ -580,15 +584,15 @@ def test_a_planted_fault_is_found_and_its_clause_named(call: Call) -> None:
 def test_a_replay_leaves_the_record_of_the_last_run(call: Call) -> None:
     protocol = load_device("reference")
     assert call("run", "reference", "--depth", "quick")[0] == 0
-    kept = record.load(protocol)
+    kept = run_history.load(protocol)
     assert kept is not None
     assert len(kept.cases) > 2
     token = token_of(Case("one", "one", "al", ()))
     assert call("run", "reference", "--replay", token)[0] == 0
-    assert record.load(protocol) == kept
+    assert run_history.load(protocol) == kept
     fault = ("--dut", "model:fault=toggle_ignored")
     assert call("run", "reference", "--depth", "quick", *fault)[0] == 1
-    assert record.load(protocol) != kept
+    assert run_history.load(protocol) != kept
 
 
 @pytest.mark.usefixtures("few")
@@ -681,7 +685,7 @@ NINE_OF_TEN = (*(Fate.KILLED,) * 9, Fate.UNNOTICED, Fate.TOLERATED, Fate.EQUIVAL
 def test_a_score_that_is_too_low_is_status_1(
     call: Call, monkeypatch: pytest.MonkeyPatch, found: Analysis, at_least: str, status: int
 ) -> None:
-    monkeypatch.setattr(mutate, "analyse", lambda *_, **__: found)
+    monkeypatch.setattr(kill_analysis, "analyse", lambda *_, **__: found)
     options = ["--at-least", at_least] if at_least else []
     assert call("mutate", DEVICE, *options)[::2] == (status, "")
 
@@ -693,7 +697,7 @@ def test_options_reach_the_analysis(call: Call, monkeypatch: pytest.MonkeyPatch)
         asked.append((arguments, options))
         return analysis()
 
-    monkeypatch.setattr(mutate, "analyse", analyse)
+    monkeypatch.setattr(kill_analysis, "analyse", analyse)
     call("mutate", DEVICE, "--own", "--only", "al.", "--depth", "quick", "--workers", "3")
     options = {"own": True, "only": "al.", "depth": "quick", "workers": 3, "progress": None}
     assert asked == [((DEVICE,), options)]
@@ -703,7 +707,7 @@ def test_options_reach_the_analysis(call: Call, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_analysis_for_people(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mutate, "analyse", lambda *_, **__: analysis(*NINE_OF_TEN))
+    monkeypatch.setattr(kill_analysis, "analyse", lambda *_, **__: analysis(*NINE_OF_TEN))
     monkeypatch.setenv("COLUMNS", "200")
     _, out, _ = call("mutate", DEVICE)
     lines = [line.split() for line in out.splitlines()]
@@ -718,7 +722,9 @@ def test_an_analysis_for_people(call: Call, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_an_analysis_as_json(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mutate, "analyse", lambda *_, **__: analysis(Fate.KILLED, Fate.UNNOTICED))
+    monkeypatch.setattr(
+        kill_analysis, "analyse", lambda *_, **__: analysis(Fate.KILLED, Fate.UNNOTICED)
+    )
     status, out, err = call("mutate", DEVICE, "--json")
     assert (status, err) == (1, "")
     wrong = {
@@ -958,7 +964,7 @@ def test_nothing_heavy_is_imported_for_the_help() -> None:
         from ecatspec.conformance import cli
         assert cli.main(["--help"]) == 0
         heavy = {"lark", "rich", "hypothesis", "dpkt", "canopen", "z3", "importlib.metadata"}
-        heavy |= {"ecatspec.conformance.runner", "ecatspec.generators.case"}
+        heavy |= {"ecatspec.conformance.run.runner", "ecatspec.generators.cases.case"}
         print(sorted(heavy & set(sys.modules)))
     """
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The only place that runs the commands of the documentation: each one is run, or excused in words.
+"""Runs the commands of the documentation: each one is run, or excused in words.
 
 They run in this process, one after the other, in a folder that has what the pages speak of: a
 device in C, its text, a capture. Runs and exports are cut to a few cases; that all cases work is
@@ -21,9 +21,12 @@ import click
 import pytest
 from c_device import build
 
-from ecatspec.conformance import cli, devices, runner, trace
+from ecatspec.conformance import cli
+from ecatspec.conformance.base import devices
 from ecatspec.conformance.diff import comparison
 from ecatspec.conformance.diff.machines import MACHINES
+from ecatspec.conformance.run import runner
+from ecatspec.conformance.traceability import trace
 from ecatspec.conformance.vectors import export
 from ecatspec.generators import suite
 from ecatspec.spec.language.load import load_file
@@ -31,8 +34,8 @@ from ecatspec.spec.language.load import load_file
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.generators.case import Case, Limits
-    from ecatspec.model.compiled import Model
+    from ecatspec.generators.cases.case import Case, Limits
+    from ecatspec.model.core.compilation import Model
     from ecatspec.spec.language.ir import Protocol
 
 pytestmark = pytest.mark.xdist_group("commands")

@@ -1,4 +1,4 @@
-"""The only place for tests of comparing runs: what is better, what is worse, what says nothing."""
+"""Tests of comparing runs: what is better, what is worse, what says nothing."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import pytest
 from short import FAULT, SMALL, shorten
 
-from ecatspec.conformance import cli, record, results
-from ecatspec.conformance.compare import as_data, compare, headline, sheets
-from ecatspec.conformance.devices import UserError, load
-from ecatspec.conformance.results import Basis, FoundWay, Run, begin
-from ecatspec.conformance.steps import Judged, Learned
-from ecatspec.conformance.verdict import Outcome, Verdict
+from ecatspec.conformance import cli
+from ecatspec.conformance.base.devices import UserError, load
+from ecatspec.conformance.base.verdict import Outcome, Verdict
+from ecatspec.conformance.results import run_file, run_history
+from ecatspec.conformance.results.compare import as_data, compare, headline, sheets
+from ecatspec.conformance.results.run_file import Basis, FoundWay, Run, begin
+from ecatspec.conformance.run.work_items import Judged, Learned
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -198,26 +199,26 @@ def test_a_run_that_goes_on_is_the_last(
     protocol = load(SMALL)
     basis = replace(BASIS, device=SMALL, digest=protocol.digest)
     cases = [Judged(case, Verdict(case, Outcome.PASS, case), Learned()) for case in ("a", "b")]
-    with record.begin(basis) as journal:
+    with run_history.begin(basis) as journal:
         for judged in cases:
             journal.keep(judged)
         journal.finish()
-    finished = record.named("last")
-    with record.begin(basis) as journal:
+    finished = run_history.named("last")
+    with run_history.begin(basis) as journal:
         journal.keep(cases[0])
-        assert record.named("previous") == finished
+        assert run_history.named("previous") == finished
         status, out, err = call("compare", "previous", "last")
         assert (status, err) == (0, "")
         assert out.startswith("1 cases in common: 0 cases worse, 0 better")
         assert "note: the second run is not finished: 1 cases\n" in out
-        known = record.load(protocol)
+        known = run_history.load(protocol)
         assert known is not None
         assert set(known.cases) == {"a", "b"}, "what goes on says too little"
-        monkeypatch.setattr(results, "_PATIENCE", 0.1)
+        monkeypatch.setattr(run_file, "_PATIENCE", 0.1)
         with pytest.raises(UserError, match="a run is writing"):
-            record.begin(basis, resume=True)
+            run_history.begin(basis, resume=True)
         finished.unlink()
-        known = record.load(protocol)
+        known = run_history.load(protocol)
         assert known is not None
         assert set(known.cases) == {"a"}
 
@@ -242,7 +243,7 @@ def test_the_command(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert {change["after"] for change in better["cases"]} == {"pass"}
     assert all(finding["after"] == 0 for finding in better["findings"])
     assert [run["dut"] for run in better["runs"]] == [FAULT, "model"]
-    status, out, _ = call("compare", "last", str(record.named("last")))
+    status, out, _ = call("compare", "last", str(run_history.named("last")))
     assert status == 0
     assert "0 cases worse, 0 better; 0 findings new, 0 gone" in out
     gone = str(tmp_path / "none")

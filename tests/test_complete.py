@@ -1,4 +1,4 @@
-"""The only place for tests of complete suites: what they find, and what is said of them."""
+"""Tests of complete suites: what they find, and what is said of them."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import pytest
 
 from ecatspec.generators.complete.certificate import certify, certify_tests, passes
 from ecatspec.generators.complete.chain import chain_suite
-from ecatspec.generators.complete.faults import Fault, faults, kills, mutant
-from ecatspec.generators.complete.folds import Search
-from ecatspec.generators.complete.machines import al_machine, drive_machine
-from ecatspec.generators.complete.separate import (
+from ecatspec.generators.complete.characterisation_sets import (
     characterising_set,
     extended,
     identifiers,
     path_words,
     splitting_tree,
 )
+from ecatspec.generators.complete.counterexample_search import Search
+from ecatspec.generators.complete.faults import Fault, faults, kills, mutant
+from ecatspec.generators.complete.machines import al_machine, drive_machine
 from ecatspec.generators.complete.sufficient import sufficient
 from ecatspec.generators.complete.suites import (
     Checked,
@@ -33,15 +33,15 @@ from ecatspec.generators.complete.suites import (
     wp_suite,
 )
 from ecatspec.generators.complete.trie import Trie, trie_of
-from ecatspec.model.compiled import Model
-from ecatspec.model.mealy import Mealy, equivalent, minimise, read_machine, state_cover
+from ecatspec.model.automata.mealy import Mealy, equivalent, minimise, read_machine, state_cover
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from ecatspec.model.mealy import Word
+    from ecatspec.model.automata.mealy import Word
 
 SUITES: dict[str, Callable[[Mealy], Suite]] = {
     "W": w_suite,

@@ -1,4 +1,4 @@
-"""The only place for tests that the covers of registers and of worked examples find mistakes."""
+"""Tests that the covers of registers and of worked examples find mistakes."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS, ReadRegister
-from ecatspec.generators.example_cover import example_cover
-from ecatspec.generators.register_cover import register_cover
-from ecatspec.generators.sdo_cover import named_indexes, sdo_cover
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.base.adapter import AdapterError
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS, ReadRegister
+from ecatspec.generators.covers.example_cover import example_cover
+from ecatspec.generators.covers.register_cover import register_cover
+from ecatspec.generators.covers.sdo_cover import named_indexes, sdo_cover
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.generators.case import Case
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.generators.cases.case import Case
 
 DEVICE = "kollmorgen-akd"
 

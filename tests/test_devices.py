@@ -1,4 +1,4 @@
-"""The only place for what holds for every device with a manual: claims, anomalies, a sound run."""
+"""What holds for every device with a manual: claims, anomalies, a sound run."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 import yaml
 from grounds import DEVICES, GROUNDS, apart, suite
 
-from ecatspec.conformance import evidence
-from ecatspec.conformance.record import CaseRecord, Record
-from ecatspec.conformance.trace import Standing, trace_device
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.model.citations import citations
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.results.run_history import CaseRecord, Record
+from ecatspec.conformance.traceability import evidence
+from ecatspec.conformance.traceability.trace import Standing, trace_device
+from ecatspec.model.analysis.citations import citations
 from ecatspec.spec.language.ir import Level
 from ecatspec.spec.language.load import load_device, load_faults
 

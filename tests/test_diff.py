@@ -1,4 +1,4 @@
-"""The only place for the tests of comparing two specifications, and two devices."""
+"""Tests of comparing two specifications, and two devices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from ecatspec.conformance import cli
-from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.base.devices import UserError
 from ecatspec.conformance.diff import comparison
 from ecatspec.conformance.diff import devices as diff_devices
 from ecatspec.conformance.diff.behaviour import Grade, Sides, graded, product
@@ -34,23 +34,23 @@ from ecatspec.conformance.diff.page import page
 from ecatspec.conformance.diff.report import as_data, headline, markdown, sections_of, sheets
 from ecatspec.conformance.diff.subjects import subject
 from ecatspec.conformance.diff.verify import vectors, verify
+from ecatspec.generators.cases.case_codec import from_data
 from ecatspec.generators.complete.machines import Setup
-from ecatspec.generators.mutants import mutants
+from ecatspec.generators.mutation.mutants import mutants
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.token import from_data
-from ecatspec.model.built import as_built
-from ecatspec.model.compared import Effect, compare_facts, judged
-from ecatspec.model.compiled import Model
-from ecatspec.model.facts import TITLES, Fact, Kind, Section, facts
-from ecatspec.model.mealy import from_rows
-from ecatspec.model.values import Numbers
+from ecatspec.model.analysis.as_built import as_built
+from ecatspec.model.analysis.fact_diff import Effect, compare_facts, judged
+from ecatspec.model.analysis.facts import TITLES, Fact, Kind, Section, facts
+from ecatspec.model.automata.mealy import from_rows
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.values import Numbers
 from ecatspec.spec.language.load import device_names, load_device, load_standard
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from ecatspec.generators.case import Case, Limits
+    from ecatspec.generators.cases.case import Case, Limits
 
 AFAG, BECKHOFF, AKD, S300, DIS2 = (
     "afag-se-power",

@@ -1,4 +1,4 @@
-"""The only place for tests of docs/: what they say of the language is what the language is."""
+"""Tests of docs/: what they say of the language is what the language is."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import pytest
 from c_device import library
 
 from ecatspec.conformance.adapters import ADAPTERS, open_adapter
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators import vectors
-from ecatspec.model.compiled import Model
-from ecatspec.model.functions import PLAIN
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import run_device
+from ecatspec.generators.vectors import schema
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.functions import PLAIN
 from ecatspec.spec.language.load import load_device, load_file
 from ecatspec.spec.language.pretty import pretty_type
 from ecatspec.spec.language.scope import EDGES, FUNCTIONS
@@ -76,12 +76,12 @@ def test_the_limits_that_the_page_names_exist(word: str) -> None:
 
 PARTS = [
     each
-    for each in vars(vectors).values()
+    for each in vars(schema).values()
     if isinstance(each, type)
     and issubclass(each, msgspec.Struct)
-    and each.__module__ == vectors.__name__
+    and each.__module__ == schema.__name__
     and not each.__name__.startswith("_")
-    and each not in {vectors.Head, vectors.Area}
+    and each not in {schema.Head, schema.Area}
 ]
 
 
@@ -107,7 +107,7 @@ def test_the_page_lists_the_keys_of_a_file_in_their_order(part: type[msgspec.Str
 def test_the_sample_is_a_test_as_a_file_has_it() -> None:
     block = VECTORS.partition("## An example\n\n")[2].partition("\n## ")[0]
     sample = re.sub(r"^ *//.*$", "", block, flags=re.MULTILINE)
-    test = msgspec.json.decode(sample, type=vectors.Test)
+    test = msgspec.json.decode(sample, type=schema.Test)
     again = msgspec.json.decode(msgspec.json.encode(test))
     assert again == msgspec.json.decode(sample)
     assert [list(step) for step in again["steps"]] == [

@@ -1,4 +1,4 @@
-"""The only place for tests of drawings: nothing overlaps, nothing is lost, all forms are sound."""
+"""Tests of drawings: nothing overlaps, nothing is lost, all forms are sound."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for tests of process data and drives, and that no freedom of them is blamed."""
+"""Tests of process data and drives, and that no freedom of them is blamed."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 import pytest
 from resumed import resumed
 
-from ecatspec.conformance import session
-from ecatspec.conformance.adapter import AdapterError, Description, raise_local
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
-from ecatspec.conformance.monitor import monitor_file
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.bringup import request, way_to
-from ecatspec.generators.case import (
+from ecatspec.conformance.base.adapter import AdapterError, Description, raise_local
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.capture.monitor import monitor_file
+from ecatspec.conformance.run import session
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.bringup import request, way_to
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Case,
     Happen,
@@ -29,14 +29,15 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
 )
-from ecatspec.generators.drive_cover import commands
-from ecatspec.generators.play import play
+from ecatspec.generators.cases.play import play
+from ecatspec.generators.cases.transfers import download, upload
+from ecatspec.generators.covers.drive_cover import commands
 from ecatspec.generators.suite import GENERATORS
-from ecatspec.generators.transfers import download, upload
-from ecatspec.model import interpreter, subdevice
-from ecatspec.model.compiled import Model
-from ecatspec.model.evaluate import Environment
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core import interpreter
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.expressions import Environment
+from ecatspec.model.esc import subdevice
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Pin
 from ecatspec.spec.language.load import load_device
 
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from ecatspec.generators.case import Stimulus
+    from ecatspec.generators.cases.case import Stimulus
     from ecatspec.spec.language.ir import Choice, Condition, Protocol
 
 REFERENCE = load_device("reference-drive")
@@ -246,7 +247,7 @@ def test_a_drive_that_looks_late_is_not_blamed(seed: int) -> None:
     assert blamed(Tardy(REFERENCE, seed), sample(29)) == []
 
 
-def test_what_befalls_a_drive_by_itself_is_not_its_fault() -> None:
+def test_what_raise_locals_a_drive_by_itself_is_not_its_fault() -> None:
     class Unlucky(VirtualSubDevice):
         def write(self, address: int, data: bytes) -> int:
             counter = super().write(address, data)

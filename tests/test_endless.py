@@ -1,4 +1,4 @@
-"""The only place for tests that a run ends, whatever a device answers."""
+"""Tests that a run ends, whatever a device answers."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from c_device import SOURCES, build
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ecatspec.conformance import session as session_module
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.dut_knowledge import shape_of
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.session import (
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run import session as session_module
+from ecatspec.conformance.run.dut_knowledge import shape_of
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.session import (
     TOO_MUCH,
     InconclusiveError,
     Session,
 )
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.bringup import request, way_to
-from ecatspec.generators.case import (
+from ecatspec.generators.cases.bringup import request, way_to
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Case,
     ReadConfiguration,
@@ -34,13 +34,13 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
 )
+from ecatspec.generators.cases.transfers import upload
+from ecatspec.generators.random.walks import walk
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.transfers import upload
-from ecatspec.generators.walks import walk
-from ecatspec.model import serving
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
+from ecatspec.model.oracle import expansion
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.model.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.load import load_device, plant
 from ecatspec.spec.language.parse import parse_text
@@ -48,9 +48,9 @@ from ecatspec.spec.language.parse import parse_text
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Stimulus
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Stimulus
     from ecatspec.spec.language.ir import Protocol
 
 MOST: Final = 20_000
@@ -171,7 +171,7 @@ def switched(adapter: Adapter, text: str, limit: int, monkeypatch: pytest.Monkey
     session.begin(shape_of(model.protocol))
     for stimulus in (*way_to(model, "PREOP"), upload(0x1018, 1)):
         session.apply(stimulus)
-    monkeypatch.setattr(serving, "LIMIT", limit)
+    monkeypatch.setattr(expansion, "LIMIT", limit)
     for enabled in (0, 1, 0):
         session.apply(WriteRegister("sync_manager_0_activation", {"enabled": enabled}))
     session.apply(request(model.row("al_state", "SAFEOP")))
@@ -180,7 +180,7 @@ def switched(adapter: Adapter, text: str, limit: int, monkeypatch: pytest.Monkey
 
 def test_too_much_to_follow_is_no_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
     adapter = virtual(load_device("reference"))
-    switched(adapter, "reference", serving.LIMIT, monkeypatch)
+    switched(adapter, "reference", expansion.LIMIT, monkeypatch)
     with pytest.raises(InconclusiveError, match=TOO_MUCH):
         switched(adapter, "reference", 0, monkeypatch)
 
@@ -192,7 +192,7 @@ def test_too_much_to_follow_on_level_b(tmp_path: Path, monkeypatch: pytest.Monke
     # long enough for the interpreter to start on a busy machine
     adapter = open_adapter(f"lib:{folder}/libthermostat.so,poll=0.01", text, hang_timeout=600.0)
     try:
-        switched(adapter, text, serving.LIMIT, monkeypatch)
+        switched(adapter, text, expansion.LIMIT, monkeypatch)
         with pytest.raises(InconclusiveError, match=TOO_MUCH):
             switched(adapter, text, 0, monkeypatch)
     finally:
@@ -467,7 +467,7 @@ def test_each_case_ends_on_a_device_that_answers_at_random(
     adapter = Wayward(protocol, seed, habits)
     runner = Runner(model, adapter, adapter.describe())
     runner.executor.judge(case)
-    assert len(runner.executor.session.oracle.candidates) <= 4 * serving.LIMIT
+    assert len(runner.executor.session.oracle.candidates) <= 4 * expansion.LIMIT
     assert len(runner.executor.session.trace) <= MOST
 
 

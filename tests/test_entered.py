@@ -1,4 +1,4 @@
-"""The only place for tests of what holds in a state since a rule led there."""
+"""Tests of what holds in a state since a rule led there."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from ecatspec.model.built import as_built
-from ecatspec.model.entered import with_guesses
-from ecatspec.model.meaning import Meaning
-from ecatspec.model.proofs import Prover
+from ecatspec.model.analysis.as_built import as_built
+from ecatspec.model.analysis.entry_facts import with_guesses
+from ecatspec.model.symbolic.proofs import Prover
+from ecatspec.model.symbolic.smt_encoding import Meaning
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.pretty import pretty_expression
 

@@ -1,4 +1,4 @@
-"""The only place for tests of the areas of model/esc.py: buffers, events, FMMUs, deactivation."""
+"""Tests of the areas of an ESC: buffers, events, FMMUs, deactivation."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ecatspec.model.buffers import Channel
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, Esc, field_mask, field_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, Esc, field_mask, field_of
+from ecatspec.model.esc.three_buffers import Channel
 from ecatspec.spec.language.load import load_device
 
 MODEL: Final = Model(load_device("reference"))

@@ -1,4 +1,4 @@
-"""The only place for tests of the adapter `eth`: the suite through a cable, and what goes wrong."""
+"""Tests of the adapter `eth`: the suite through a cable, and what goes wrong."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import pytest
 from wire_run import verdicts
 from wires import NEAR, cable
 
-from ecatspec.conformance.adapter import AdapterError, DeviceHang, Unheard
 from ecatspec.conformance.adapters import eth, open_adapter, parse_options
+from ecatspec.conformance.adapters.contract_test import check_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, planted
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.adapter import AdapterError, DeviceHang, Unheard
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.link import LinkedSubDevice, linked
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.wire import COMMANDS, Datagram, Wire, wire_format
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.data_link import LinkedSubDevice, linked
+from ecatspec.model.esc.subdevice import VirtualSubDevice
+from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, wire_format
 from ecatspec.spec.language.load import load_link
 
 if TYPE_CHECKING:

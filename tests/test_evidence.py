@@ -1,4 +1,4 @@
-"""The only place for tests of evidence: what violates a clause, and the case that finds it."""
+"""Tests of evidence: what violates a clause, and the case that finds it."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
-from ecatspec.conformance import cli, evidence
-from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.evidence import Evidence, Violations, digest_of, fresh
-from ecatspec.conformance.measure import Measurement, measure
-from ecatspec.conformance.record import CaseRecord, Record
-from ecatspec.conformance.trace import Standing, Trace, demands, trace_device
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS
-from ecatspec.generators.data_mutants import data_mutants
+from ecatspec.conformance import cli
+from ecatspec.conformance.base.devices import UserError
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.results.run_history import CaseRecord, Record
+from ecatspec.conformance.traceability import evidence
+from ecatspec.conformance.traceability.evidence import Evidence, Violations, digest_of, fresh
+from ecatspec.conformance.traceability.measure import Measurement, measure
+from ecatspec.conformance.traceability.trace import Standing, Trace, demands, trace_device
+from ecatspec.generators.cases.case import NO_LIMITS
+from ecatspec.generators.mutation.data_mutants import data_mutants
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Level
 from ecatspec.spec.language.load import device_names, load_device, load_file, load_standard
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ecatspec.generators.data_mutants import DataMutant
+    from ecatspec.generators.mutation.data_mutants import DataMutant
 
 TEXT: Final = """
 device mine extends standard "a device"

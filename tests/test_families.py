@@ -1,4 +1,4 @@
-"""The only place for tests of the families of a request: each fault is where its flag says."""
+"""Tests of the families of a request: each fault is where its flag says."""
 
 from __future__ import annotations
 
@@ -10,17 +10,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ecatspec.generators.case import SendFrame
-from ecatspec.generators.families import NOTES, Family, Variant, family_of, request_frames
-from ecatspec.generators.stimulus import frame_bytes
-from ecatspec.model.compiled import Model
+from ecatspec.generators.cases.case import SendFrame
+from ecatspec.generators.cases.stimulus import frame_bytes
+from ecatspec.generators.mutation.message_mutation import (
+    NOTES,
+    Family,
+    Variant,
+    family_of,
+    request_frames,
+)
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Literal, Name, Named, UInt
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import width_of
 
 if TYPE_CHECKING:
-    from ecatspec.model.codec import Message
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.core.values import Value
 
 ROOT = "mailbox"
 MOST = 68

@@ -1,4 +1,4 @@
-"""The only place for tests of the planted faults: each is sound as a text, and a run finds it."""
+"""Tests of the planted faults: each is sound as a text, and a run finds it."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from grounds import DEPTH, GROUNDS, LIKELY, REFERENCE, Ground, apart, ground_of, suite
 
+from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
-from ecatspec.conformance.devices import going
-from ecatspec.conformance.dut_knowledge import SHAPE
-from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.base.devices import going
+from ecatspec.conformance.base.verdict import BLAMING, FOUND
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.conformance.vectors.export import Export, Wanted
 from ecatspec.conformance.vectors.replay import Player
-from ecatspec.conformance.verdict import BLAMING, FOUND
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.state import RuleName
-from ecatspec.model.subdevice import Quirk, VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.state import RuleName
+from ecatspec.model.esc.subdevice import Quirk, VirtualSubDevice
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.load import load_device, load_faults, plant
 from ecatspec.spec.language.parse import parse_text
@@ -30,8 +30,8 @@ from ecatspec.spec.language.parse import parse_text
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ecatspec.generators.case import Case
-    from ecatspec.generators.vectors import Head
+    from ecatspec.generators.cases.case import Case
+    from ecatspec.generators.vectors.schema import Head
 
 FAULTS = load_faults()
 ORDER: Final = {name: number for number, name in enumerate(sorted(FAULTS))}

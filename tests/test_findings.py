@@ -1,4 +1,4 @@
-"""The only place for tests of how many findings a mistake makes: docs/findings.md says it."""
+"""Tests of how many findings a mistake makes: docs/findings.md says it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from causes import (
 )
 from grounds import apart, ground_of
 
-from ecatspec.conformance.runner import run_device
+from ecatspec.conformance.run.runner import run_device
 from ecatspec.spec.language.load import load_faults
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The only place for tests of devices as finite machines: AL, drive, SDO server."""
+"""Tests of devices as finite machines: AL, drive, SDO server."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from ecatspec.generators.cases.play import play
 from ecatspec.generators.complete.certificate import certify
 from ecatspec.generators.complete.chain import chain_suite
 from ecatspec.generators.complete.faults import kills
@@ -20,11 +21,10 @@ from ecatspec.generators.complete.machines import (
     sdo_machine,
 )
 from ecatspec.generators.complete.suites import Checked, hsi_suite
-from ecatspec.generators.play import play
-from ecatspec.model.compiled import Model
-from ecatspec.model.finite import disagreement, explore
-from ecatspec.model.mealy import minimise
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.automata.exploration import disagreement, explore
+from ecatspec.model.automata.mealy import minimise
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:

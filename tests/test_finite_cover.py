@@ -1,4 +1,4 @@
-"""The only place for tests of complete suites as cases: what they name, promise, and find."""
+"""Tests of complete suites as cases: what they name, promise, and find."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import pytest
 from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS, Limits
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import run_device
+from ecatspec.generators.cases.case import NO_LIMITS, Limits
+from ecatspec.generators.cases.case_codec import case_of
 from ecatspec.generators.complete.machines import ALL_EVENTS
-from ecatspec.generators.finite_cover import complete_suites
-from ecatspec.generators.token import case_of
-from ecatspec.model.compiled import Model
+from ecatspec.generators.covers.finite_cover import complete_suites
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from ecatspec.conformance.runner import Runner
-    from ecatspec.generators.finite_cover import Complete
+    from ecatspec.conformance.run.runner import Runner
+    from ecatspec.generators.covers.finite_cover import Complete
 
 DRIVE = "reference-drive"
 SMALL = "reference"
@@ -112,7 +112,7 @@ def test_a_guarantee_is_one_line_with_method_and_proof() -> None:
     )
 
 
-def test_what_cannot_befall_the_device_is_no_input() -> None:
+def test_what_cannot_raise_local_the_device_is_no_input() -> None:
     every = {name.partition(".")[2] for name in ALL_EVENTS}
     found = complete_suites(model_of(DRIVE), NO_LIMITS, {"ds402.fault"}, {}, "exhaustive")
     drive, both = islice(found, 2)

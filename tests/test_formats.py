@@ -1,4 +1,4 @@
-"""The only place for tests of generators/formats: what each form of the vectors holds."""
+"""Tests of generators/formats: what each form of the vectors holds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ecatspec.conformance.capture.files import packets
 from ecatspec.conformance.vectors.export import Wanted, export
 from ecatspec.generators.formats import FORMATS
 from ecatspec.generators.formats.pcapng_format import STATION_ADDRESS
-from ecatspec.generators.vectors import (
+from ecatspec.generators.vectors.schema import (
     SCHEMA,
     SCHEMA_VERSION,
     Allowed,
@@ -42,10 +42,10 @@ from ecatspec.generators.vectors import (
     Vectors,
     Write,
 )
-from ecatspec.generators.vectors import Test as OneTest
-from ecatspec.generators.words_of import words_of
-from ecatspec.model.compiled import Model
-from ecatspec.model.wire import Datagram, Wire, wire_format
+from ecatspec.generators.vectors.schema import Test as OneTest
+from ecatspec.generators.vectors.symbols import words_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.wire import Datagram, Wire, wire_format
 from ecatspec.spec.language.ir import Level
 from ecatspec.spec.language.load import load_device
 
@@ -496,7 +496,7 @@ def test_pcapng_comments_say_what_a_packet_is() -> None:
         "al/one step 2 in: writes al_control: requested 1 INIT, acknowledge yes, identification no",
         "al/one step 2 in: taken",
         "al/one step 3 in: refused",
-        "al/one step 4 in: al.sync_lost befalls the device",
+        "al/one step 4 in: local event al.sync_lost in the device",
         "al/one step 4 expect: a message waits, which is not read",
         "al/one step 5 cycle: process data, every 100000 us for 250000 us",
         "sdo/two step 1 expect: no message; or another",

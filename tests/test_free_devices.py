@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.verdict import FOUND, Outcome
-from ecatspec.generators.bringup import case_in
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.verdict import FOUND, Outcome
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.generators.cases.bringup import case_in
+from ecatspec.generators.cases.case import NO_LIMITS
+from ecatspec.generators.cases.transfers import upload
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.transfers import upload
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.load import load_device, load_file, plant
 from ecatspec.spec.language.parse import parse_text

@@ -1,4 +1,4 @@
-"""The only place for tests of freedoms: a device that goes one of the free ways is not blamed."""
+"""Tests of freedoms: a device that goes one of the free ways is not blamed."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from grounds import GROUNDS, REFERENCE, Ground, apart, suite
 from resumed import resumed
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.verdict import FOUND, SUB_DEVICE
-from ecatspec.generators.bringup import case_in, request
-from ecatspec.generators.case import Case, WriteRegister
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import FOUND, SUB_DEVICE
+from ecatspec.generators.cases.bringup import case_in, request
+from ecatspec.generators.cases.case import Case, WriteRegister
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Fault
 from ecatspec.spec.language.load import plant
 from ecatspec.spec.language.parse import parse_text
@@ -22,9 +22,9 @@ from ecatspec.spec.language.parse import parse_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from ecatspec.conformance.runner import Runner
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.compiled import Model
+    from ecatspec.conformance.run.runner import Runner
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.core.compilation import Model
 
 TEXTS: Final = Path(__file__).parent / "freedoms"
 TERMINAL: Final = Ground("beckhoff-el6720", ("al", "process_data", "mailbox"))

@@ -1,4 +1,4 @@
-"""The only place for tests of generators/: how many cases there are and what they reach."""
+"""Tests of generators/: how many cases there are and what they reach."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import pytest
 from resumed import Resumed, resumed
 
-from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.dut_knowledge import SHAPE
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.bringup import has_process_data
-from ecatspec.generators.case import (
+from ecatspec.conformance.base.adapter import Description
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.bringup import has_process_data
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Case,
     Happen,
@@ -28,23 +28,23 @@ from ecatspec.generators.case import (
     WriteRegister,
     WriteRegisters,
 )
-from ecatspec.generators.drive_cover import drive_cover
-from ecatspec.generators.families import NOTES
-from ecatspec.generators.play import at_power_on, play
-from ecatspec.generators.process_cover import process_cover
-from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
+from ecatspec.generators.cases.play import at_power_on, play
+from ecatspec.generators.cases.stimulus import frame_bytes, register_bytes, registers_bytes
+from ecatspec.generators.covers.drive_cover import drive_cover
+from ecatspec.generators.covers.process_cover import process_cover
+from ecatspec.generators.covers.transition_cover import transition_cover
+from ecatspec.generators.mutation.message_mutation import NOTES
 from ecatspec.generators.suite import GENERATORS, all_cases
-from ecatspec.generators.transition_cover import transition_cover
-from ecatspec.model import subdevice
-from ecatspec.model.compiled import Model, rows_of
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.esc import subdevice
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Literal, Pin
 from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.values import Value
     from ecatspec.spec.language.ir import Expression, Protocol
 
 GOLDEN = {

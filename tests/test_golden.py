@@ -1,4 +1,4 @@
-"""The only place for whole reports, word by word: of a foreign server and of five planted faults.
+"""Whole reports, word by word: of a foreign server and of five planted faults.
 
 What changes with every text or release (times, versions, digests, totals) is replaced. Where a
 change is meant, write the files anew and read what `git diff` says of them:
@@ -18,10 +18,10 @@ from typing import Final
 
 import pytest
 
-from ecatspec.conformance.devices import load
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome, Result
 from ecatspec.conformance.reports import REPORTS, junit_report
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.verdict import Outcome, Result
+from ecatspec.conformance.run.runner import run_device
 
 GOLDEN: Final = Path(__file__).resolve().parent / "golden"
 RENEW: Final = bool(os.environ.get("ECATSPEC_RENEW"))

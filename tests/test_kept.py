@@ -1,4 +1,4 @@
-"""The only place for tests of what is kept between starts."""
+"""Tests of what is kept between starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for tests of known deviations: their file, and that a run goes on past them."""
+"""Tests of known deviations: their file, and that a run goes on past them."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ecatspec.conformance import known
-from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.base.devices import UserError
+from ecatspec.conformance.base.verdict import Conclusion, Outcome, Result, TraceLine, Verdict
 from ecatspec.conformance.cli import main
-from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.known import Accepted, Known
 from ecatspec.conformance.reports import REPORTS
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.verdict import Conclusion, Outcome, Result, TraceLine, Verdict
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.results import known_deviations
+from ecatspec.conformance.results.known_deviations import Accepted, Known
+from ecatspec.conformance.run import runner as runner_module
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device, load_faults, plant
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def test_a_wide_mistake_hides_others_until_it_is_known() -> None:
     first = judged((WIDE, *NARROW))
     assert TOLD in told(first)
     assert hidden.isdisjoint(told(first))
-    drafted = tomllib.loads(known.draft(DEVICE, [result(first)], Accepted()))
+    drafted = tomllib.loads(known_deviations.draft(DEVICE, [result(first)], Accepted()))
     second = judged((WIDE, *NARROW), *(each["finding"] for each in drafted["known"]))
     assert {TOLD, *NARROW.values()} <= told(second).keys()
     assert told(second)[TOLD] == {Outcome.KNOWN}
@@ -132,7 +132,7 @@ ENTRY: Final = '[[known]]\nfinding = "a b"\nreason = "old"\n'
 def test_a_file_says_what_is_accepted_and_how_long(tmp_path: Path) -> None:
     text = f'device = "{DEVICE}"\n{ENTRY}until = 2030-05-17\n'
     text += '[[known]]\nfinding = "c"\nreason = "older"\nuntil = 2030-05-16\n'
-    accepted = known.read(written(tmp_path / "known.toml", text), DEVICE, TODAY)
+    accepted = known_deviations.read(written(tmp_path / "known.toml", text), DEVICE, TODAY)
     assert accepted.reasons == {"a b": "known: old (until 2030-05-17)"}
     assert [each.finding for each in accepted.ended] == ["c"]
     assert list(accepted.notes({"a b"}, whole=True)) == [
@@ -163,7 +163,7 @@ def test_a_file_says_what_is_accepted_and_how_long(tmp_path: Path) -> None:
 def test_what_is_wrong_with_a_file_is_one_line(tmp_path: Path, text: str, said: str) -> None:
     path = written(tmp_path / "known.toml", text)
     with pytest.raises(UserError) as error:
-        known.read(path, DEVICE, TODAY)
+        known_deviations.read(path, DEVICE, TODAY)
     assert said in str(error.value)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
@@ -171,12 +171,12 @@ def test_what_is_wrong_with_a_file_is_one_line(tmp_path: Path, text: str, said: 
 
 def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="No such file"):
-        known.read(tmp_path / "none", DEVICE, TODAY)
+        known_deviations.read(tmp_path / "none", DEVICE, TODAY)
     (tmp_path / "bytes").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UserError, match="no file of known deviations"):
-        known.read(tmp_path / "bytes", DEVICE, TODAY)
+        known_deviations.read(tmp_path / "bytes", DEVICE, TODAY)
     with pytest.raises(UserError, match="is no path"):
-        known.of("a\0b", DEVICE)
+        known_deviations.of("a\0b", DEVICE)
 
 
 TEXTS: Final = st.text(st.characters(exclude_categories=["Cs"]))
@@ -189,7 +189,7 @@ def test_what_is_drafted_is_read_again(findings: dict[str, tuple[str, date]]) ->
     )
     verdicts = tuple(Verdict(n, Outcome.FAIL, n, signature=n) for n in (*findings, "new"))
     runs = [Result(DEVICE, "", verdicts, (), 0, (), 0, 0.0)]
-    drafted = known.draft(DEVICE, runs, Accepted(known=before))
+    drafted = known_deviations.draft(DEVICE, runs, Accepted(known=before))
     read = tomllib.loads(drafted)["known"]
     kept = {each["finding"]: (each["reason"], each.get("until")) for each in read}
     new = kept.pop("new") if "new" not in findings else None
@@ -239,7 +239,7 @@ def test_a_sound_device_is_told_what_did_not_occur(
     monkeypatch.setattr(runner_module, "all_cases", lambda *_: iter(cases))
     monkeypatch.setattr(Runner, "complete", lambda *_: [])
     path = written(tmp_path / "known.toml", f'device = "{DEVICE}"\n{ENTRY}')
-    accepted = known.of(str(path), DEVICE)
+    accepted = known_deviations.of(str(path), DEVICE)
     found = run_device(DEVICE, "model", depth="quick", known=accepted)
     assert [note for note in found.notes if "did not occur: a b (old)" in note]
     assert found.conclusion is Conclusion.CONFORMS
@@ -268,7 +268,7 @@ def test_reports_show_what_is_known_as_such() -> None:
     protocol = load_device(DEVICE)
     found = [Result(DEVICE, "a", (verdict,), (), 1, (), 1, 0.0)]
     said = REPORTS["text"](found, protocol)
-    assert "deviates as is known, and conforms otherwise: 1 finding" in said
+    assert "deviates as is known_deviations, and conforms otherwise: 1 finding" in said
     assert "KNOWN: t" in said
     assert "identity  s" in said
     assert "Deviates as is known" in REPORTS["html"](found, protocol)

@@ -1,4 +1,4 @@
-"""The only place for tests of the text of the Kollmorgen AKD: its evidence and what it declares."""
+"""Tests of the text of the Kollmorgen AKD: its evidence and what it declares."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from ecatspec.generators.bringup import mailbox_settings, request
-from ecatspec.generators.play import play
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.generators.cases.bringup import mailbox_settings, request
+from ecatspec.generators.cases.play import play
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Access, Level, Literal, Name, OneOf, Protocol, UInt
 from ecatspec.spec.language.load import load_device, load_faults
 

@@ -1,4 +1,4 @@
-"""The only place for tests of the text of the Kollmorgen S300: its evidence and its commands."""
+"""Tests of the text of the Kollmorgen S300: its evidence and its commands."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
-from ecatspec.model.compiled import Model
-from ecatspec.model.interpreter import fields_with_before, step
-from ecatspec.model.state import Event
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.interpreter import fields_with_before, step
+from ecatspec.model.core.state import Event
 from ecatspec.spec.language.ir import Binary, Call, Gap, Level, Literal, Name, OneOf, Rule, Unary
 from ecatspec.spec.language.load import load_device, load_faults
 
 if TYPE_CHECKING:
-    from ecatspec.model.state import State
+    from ecatspec.model.core.state import State
     from ecatspec.spec.language.ir import Expression, Protocol
 
 

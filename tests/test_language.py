@@ -1,4 +1,4 @@
-"""The only place for tests of the language: what parses, what is refused and where, what prints."""
+"""Tests of the language: what parses, what is refused and where, what prints."""
 
 import contextlib
 import dataclasses
@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ecatspec.model.citations import citations
+from ecatspec.model.analysis.citations import citations
 from ecatspec.spec.language import overlap
 from ecatspec.spec.language.check import check_protocol, check_words
 from ecatspec.spec.language.check_texts import check_texts, unused

@@ -1,4 +1,4 @@
-"""The only place for tests of examples/c_level_b: a first report from a few lines of glue."""
+"""Tests of examples/c_level_b: a first report from a few lines of glue."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import pytest
 from c_device import SOURCES, build, sanitizes
 
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from pathlib import Path

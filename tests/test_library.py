@@ -1,4 +1,4 @@
-"""The only place for tests of shared libraries: every way in which one can be wrong, or die."""
+"""Tests of shared libraries: every way in which one can be wrong, or die."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ import pytest
 from c_device import TEXT, build, library, sanitizes
 from processes import descriptors, gone, living_group, memory
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters import lib, open_adapter
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.adapters.host import CRASHED
+from ecatspec.conformance.adapters.process import ProcessAdapter
+from ecatspec.conformance.adapters.shared_library import HEADERS, environment
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     DeviceCrash,
     DeviceFault,
     DeviceHang,
     DeviceRubbish,
 )
-from ecatspec.conformance.adapters import lib, open_adapter
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.host import CRASHED
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.libraries import HEADERS, environment
-from ecatspec.conformance.process import ProcessAdapter
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.verdict import Outcome
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import run_device
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -496,7 +496,7 @@ def test_sixty_crashes_leave_nothing_behind(hostile: Path, monkeypatch: pytest.M
 def test_a_device_that_loops_ends_with_a_run_that_was_killed(hostile: Path) -> None:
     asked = json.dumps({"device": "standard", "options": {"path": str(hostile)}})
     host = subprocess.Popen(
-        [sys.executable, "-P", "-m", "ecatspec.conformance.host", "lib", asked],
+        [sys.executable, "-P", "-m", "ecatspec.conformance.adapters.host", "lib", asked],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={**os.environ, "HOSTILE": "infinite loop"},

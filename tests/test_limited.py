@@ -1,4 +1,4 @@
-"""The only place for tests of a device text that limits the SDO service: the suite follows it."""
+"""Tests of a device text that limits the SDO service: the suite follows it."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 import pytest
 from resumed import resumed
 
-from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import VirtualAdapter
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.adapter import Description
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_file
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ecatspec.conformance.runner import Runner
+    from ecatspec.conformance.run.runner import Runner
     from ecatspec.spec.language.ir import Protocol
 
 LIMITED = """

@@ -1,4 +1,4 @@
-"""The only place for tests of model/link.py, model/sii.py and the texts in spec/link."""
+"""Tests of model/esc/data_link.py, model/esc/sii.py and the texts in spec/link."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.play import play
-from ecatspec.model.compiled import Model
-from ecatspec.model.fmmu import fmmu_registers
-from ecatspec.model.link import LinkedSubDevice, linked
-from ecatspec.model.sii import checksum, sii_image
-from ecatspec.model.wire import COMMANDS, Datagram, Wire, wire_format
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.play import play
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.data_link import LinkedSubDevice, linked
+from ecatspec.model.esc.fmmu import fmmu_registers
+from ecatspec.model.esc.sii import checksum, sii_image
+from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, wire_format
 from ecatspec.spec.language.load import compile_texts, device_names, load_device, load_link
 from ecatspec.spec.language.parse import parse_text
 

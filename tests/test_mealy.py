@@ -1,4 +1,4 @@
-"""The only place for tests of finite machines as tables, and of what two of them do alike."""
+"""Tests of finite machines as tables, and of what two of them do alike."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from ecatspec.model.mealy import (
+from ecatspec.model.automata.mealy import (
     Mealy,
     alike,
     differences,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from ecatspec.model.mealy import Word
+    from ecatspec.model.automata.mealy import Word
 
 
 def names(count: int) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The only place for tests of the text of the Metronix DIS-2: CoE alone, 4 bytes, two PDOs."""
+"""Tests of the text of the Metronix DIS-2: CoE alone, 4 bytes, two PDOs."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ import pytest
 from desk import STATES, WAYS, Desk, shown, to, way
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import (
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Happen,
     SetUpProcessData,
     StopOutputs,
     Wait,
 )
-from ecatspec.generators.play import play
+from ecatspec.generators.cases.play import play
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.evaluate import Environment
-from ecatspec.model.interpreter import step
-from ecatspec.model.process_image import OUTPUTS
-from ecatspec.model.state import Event
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import admits
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.expressions import Environment
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.process_image import OUTPUTS
+from ecatspec.model.core.state import Event
+from ecatspec.model.core.values import admits
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Access, AnyValue, Conditional, Literal, UInt
 from ecatspec.spec.language.load import load_device, load_faults, load_file
 
 if TYPE_CHECKING:
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.values import Value
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
 
 TEXT = Path(__file__).resolve().parent.parent / "spec" / "devices" / "metronix-dis2.ecs"

@@ -1,4 +1,4 @@
-"""The only place for tests of model/: codec, values, logic, interpreter, ESC, virtual SubDevice."""
+"""Tests of model/: codec, values, logic, interpreter, ESC, virtual SubDevice."""
 
 from __future__ import annotations
 
@@ -11,21 +11,18 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from ecatspec.generators.bringup import mailbox_settings, request, way_to
-from ecatspec.generators.case import WriteOutputs, WriteRegister, WriteRegisters
-from ecatspec.generators.play import play
-from ecatspec.generators.stimulus import frame_bytes, register_bytes, registers_bytes
-from ecatspec.generators.transfers import download
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import Esc, field_of
-from ecatspec.model.evaluate import Environment, compile_expression
-from ecatspec.model.functions import PLAIN
-from ecatspec.model.interpreter import step
-from ecatspec.model.process_image import OUTPUTS
-from ecatspec.model.state import Event, State
-from ecatspec.model.subdevice import Quirk, VirtualSubDevice
-from ecatspec.model.terms import counted
-from ecatspec.model.values import (
+from ecatspec.generators.cases.bringup import mailbox_settings, request, way_to
+from ecatspec.generators.cases.case import WriteOutputs, WriteRegister, WriteRegisters
+from ecatspec.generators.cases.play import play
+from ecatspec.generators.cases.stimulus import frame_bytes, register_bytes, registers_bytes
+from ecatspec.generators.cases.transfers import download
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.expressions import Environment, compile_expression
+from ecatspec.model.core.functions import PLAIN
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.process_image import OUTPUTS
+from ecatspec.model.core.state import Event, State
+from ecatspec.model.core.values import (
     UNKNOWN,
     Numbers,
     Octets,
@@ -35,7 +32,10 @@ from ecatspec.model.values import (
     admits,
     concrete,
 )
-from ecatspec.model.words import typed_words
+from ecatspec.model.core.wording import typed_words
+from ecatspec.model.esc.esc import Esc, field_of
+from ecatspec.model.esc.subdevice import Quirk, VirtualSubDevice
+from ecatspec.model.symbolic.terms import counted
 from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, In, Literal, Name, Range, SInt, Unary
 from ecatspec.spec.language.load import load_device
@@ -44,9 +44,9 @@ from ecatspec.spec.language.scope import width_of
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.buffers import Buffers
-    from ecatspec.model.codec import Message
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.esc.three_buffers import Buffers
     from ecatspec.spec.language.ir import FrameField
 
 AKD = load_device("kollmorgen-akd")

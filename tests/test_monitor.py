@@ -1,4 +1,4 @@
-"""The only place for tests of the monitor: what captures of real devices show."""
+"""Tests of the monitor: what captures of real devices show."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import dpkt
 import pytest
 
-from ecatspec.conformance import monitor
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.capture import monitor
+from ecatspec.conformance.capture.monitor import monitor_file
 from ecatspec.conformance.capture.transactions import CaptureError
-from ecatspec.conformance.monitor import monitor_file
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.esc.esc import SYNC_MANAGERS
 from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ecatspec.conformance.verdict import Result
-    from ecatspec.model.compiled import Model
+    from ecatspec.conformance.base.verdict import Result
+    from ecatspec.model.core.compilation import Model
 
 AKD_CAPTURE = "soem-sdinfo-akd.pcapng"
 OTHERS = (

@@ -1,4 +1,4 @@
-"""The only place for tests of mutants: texts as built, mistakes in them, and what finds these."""
+"""Tests of mutants: texts as built, mistakes in them, and what finds these."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import pytest
 
-from ecatspec.conformance import mutate
+from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.kills import Fate
-from ecatspec.conformance.mutate import analyse
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.devices import UserError
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.mutation import kill_analysis
+from ecatspec.conformance.mutation.fates import Fate
+from ecatspec.conformance.mutation.kill_analysis import analyse
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
 from ecatspec.generators.complete.suites import state_cover_suite
-from ecatspec.generators.equivalents import Equivalents
-from ecatspec.generators.finite_cover import complete_suites
-from ecatspec.generators.mutants import DEFINE, Operator, mutants
+from ecatspec.generators.covers.finite_cover import complete_suites
+from ecatspec.generators.mutation.equivalents import Equivalents
+from ecatspec.generators.mutation.mutants import DEFINE, Operator, mutants
 from ecatspec.generators.suite import GENERATORS, all_cases
-from ecatspec.model.built import as_built
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.analysis.as_built import as_built
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import device_names, load_device, load_faults, load_file, plant
 from ecatspec.spec.language.pretty import pretty_expression
 
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.conformance.kills import Analysis
-    from ecatspec.generators.case import Case, Limits
-    from ecatspec.generators.mutants import Mutant
-    from ecatspec.model.state import Event, Step
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.conformance.mutation.fates import Analysis
+    from ecatspec.generators.cases.case import Case, Limits
+    from ecatspec.generators.mutation.mutants import Mutant
+    from ecatspec.model.core.state import Event, Step
     from ecatspec.spec.language.ir import Definition, Protocol, Rule
 
 DRIVE = "reference-drive"
@@ -416,23 +416,23 @@ def test_a_check_is_what_lets_other_inputs_through() -> None:
 
 
 @cache
-def few_cases() -> mutate._Ground:
+def few_cases() -> kill_analysis._Ground:
     """What the small device shows in a suite of few cases."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(mutate, "all_cases", few)
-        patch.setattr(mutate, "complete_suites", lambda *_: ())
-        patch.setattr(mutate, "_equivalents", lambda *_: proofs(SMALL))
-        return mutate._Ground(SMALL, "quick", None)  # noqa: SLF001  made once for all tests
+        patch.setattr(kill_analysis, "all_cases", few)
+        patch.setattr(kill_analysis, "complete_suites", lambda *_: ())
+        patch.setattr(kill_analysis, "_equivalents", lambda *_: proofs(SMALL))
+        return kill_analysis._Ground(SMALL, "quick", None)  # noqa: SLF001  made once for all tests
 
 
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Analysis]:
     """Analyse some mutants of the small device with few cases."""
     ground = few_cases()
-    monkeypatch.setattr(mutate, "_Ground", lambda *_: ground)
+    monkeypatch.setattr(kill_analysis, "_Ground", lambda *_: ground)
 
     def analysed(*sample: Mutant, own: bool = False, only: str = "") -> Analysis:
-        monkeypatch.setattr(mutate, "mutants", lambda _: iter(sample))
+        monkeypatch.setattr(kill_analysis, "mutants", lambda _: iter(sample))
         return analyse(SMALL, own=own, only=only, depth="quick")
 
     return analysed
@@ -485,9 +485,9 @@ FATES: Final[Mapping[Mistake, tuple[Fate, str]]] = {
 def test_what_becomes_of_mutants(monkeypatch: pytest.MonkeyPatch) -> None:
     sample = [named(*mistake) for mistake in FATES]
     names = [case.name for case in few(Model(load_device(SMALL)), NO_LIMITS, "quick")]
-    monkeypatch.setattr(mutate, "all_cases", few)
-    monkeypatch.setattr(mutate, "complete_suites", lambda *_: ())
-    monkeypatch.setattr(mutate, "mutants", lambda _: iter(sample))
+    monkeypatch.setattr(kill_analysis, "all_cases", few)
+    monkeypatch.setattr(kill_analysis, "complete_suites", lambda *_: ())
+    monkeypatch.setattr(kill_analysis, "mutants", lambda _: iter(sample))
     told: list[str] = []
     found = analyse(SMALL, depth="quick", workers=2, progress=lambda _, __, what: told.append(what))
     assert [each.mutant for each in found.fated] == sample
@@ -534,7 +534,7 @@ def test_a_mutant_that_does_not_come_up_is_killed(
             end()
 
     monkeypatch.setattr(VirtualSubDevice, "reset", ending)
-    monkeypatch.setattr(mutate, "PATIENCE", 1.0)
+    monkeypatch.setattr(kill_analysis, "PATIENCE", 1.0)
     (found,) = small(wrong).fated
     assert (found.fate, found.case) == (Fate.KILLED, "power-on")
 
@@ -554,7 +554,7 @@ def test_a_mutant_that_fails_or_hangs_is_killed(
         return taken
 
     monkeypatch.setattr(VirtualSubDevice, "react", ending)
-    monkeypatch.setattr(mutate, "PATIENCE", 1.0)
+    monkeypatch.setattr(kill_analysis, "PATIENCE", 1.0)
     (found,) = small(wrong).fated
     assert found.fate is Fate.KILLED
     assert "MBX-21" in found.clauses
@@ -581,7 +581,7 @@ def test_the_finite_machines_speak_when_no_case_is_left(
     """What shows in the last of many cases only is a mistake, whatever else is the same."""
     wrong = named("al.bootstrap_refused", EARLY, "free and", "free")
     ground = few_cases()
-    heard = mutate.Heard(wrong.protocol)
+    heard = kill_analysis.Heard(wrong.protocol)
     telling = next(shown for shown in ground.shown if heard.differs(shown.log))
     silent = next(shown for shown in ground.shown if not heard.differs(shown.log))
     monkeypatch.setattr(ground, "_touched", lambda *_: [*[silent] * 100, telling])
@@ -593,11 +593,11 @@ def test_the_finite_machines_speak_when_no_case_is_left(
 def test_the_finite_machines_know_no_times(monkeypatch: pytest.MonkeyPatch) -> None:
     model = Model(load_device(DRIVE))
     cases = [c for c in GENERATORS["process"](model, NO_LIMITS) if c.name.endswith("/watchdog")]
-    monkeypatch.setattr(mutate, "all_cases", lambda *_: cases)
-    monkeypatch.setattr(mutate, "complete_suites", lambda *_: ())
-    monkeypatch.setattr(mutate, "_machines", lambda *_: [])
-    monkeypatch.setattr(mutate, "_equivalents", lambda *_: None)
-    ground = mutate._Ground(DRIVE, "quick", None)  # noqa: SLF001  the fates, without a report
+    monkeypatch.setattr(kill_analysis, "all_cases", lambda *_: cases)
+    monkeypatch.setattr(kill_analysis, "complete_suites", lambda *_: ())
+    monkeypatch.setattr(kill_analysis, "_machines", lambda *_: [])
+    monkeypatch.setattr(kill_analysis, "_equivalents", lambda *_: None)
+    ground = kill_analysis._Ground(DRIVE, "quick", None)  # noqa: SLF001  the fates, without a report
     monkeypatch.setattr(ground, "explored", ground.steps)
     monkeypatch.setattr(ground, "_explored", lambda _: True)
     shorter = wrong_in(DRIVE, (f"{DEFINE}watchdog_time", Operator.OFF_BY_ONE, "2", "1"))
@@ -787,7 +787,7 @@ def test_what_is_proved_to_do_the_same_answers_the_same() -> None:
     ground = few_cases()
     assert len({mutant.place for mutant in some_proved()}) > 10
     for mutant in some_proved():
-        heard = mutate.Heard(mutant.protocol)
+        heard = kill_analysis.Heard(mutant.protocol)
         for shown in ground.shown[::3]:
             assert not heard.differs(shown.log), f"{mutant}: {shown.case.name}"
 
@@ -802,8 +802,8 @@ def test_a_proof_spares_the_cases(small: Callable[..., Analysis]) -> None:
 def test_a_step_that_does_not_end_is_another_step(
     small: Callable[..., Analysis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mutate, "step", lambda *_: hang())
-    monkeypatch.setattr(mutate, "PATIENCE", 0.05)
+    monkeypatch.setattr(kill_analysis, "step", lambda *_: hang())
+    monkeypatch.setattr(kill_analysis, "PATIENCE", 0.05)
     (found,) = small(named("sdo.upload_no_object", SILENT, "send sdo_abort")).fated
     assert found.fate is Fate.KILLED
 
@@ -1000,7 +1000,7 @@ def test_only_mistakes_with_certain_words(
 ) -> None:
     one, other = [named(*mistake) for mistake in list(FATES)[:2]]
     assert [each.mutant for each in small(one, other, only=one.place).fated] == [one]
-    monkeypatch.setattr(mutate, "_Ground", None)  # told before anything is run
+    monkeypatch.setattr(kill_analysis, "_Ground", None)  # told before anything is run
     with pytest.raises(UserError, match=r"no mutant of reference has 'nonsense' in its descr"):
         analyse(SMALL, only="nonsense")
 
@@ -1008,9 +1008,9 @@ def test_only_mistakes_with_certain_words(
 def test_a_device_that_is_blamed_as_it_is_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     cases = all_cases(Model(load_device(SMALL)), NO_LIMITS, "quick")
     toggles = [case for case in cases if "toggle" in case.name]
-    monkeypatch.setattr(mutate, "all_cases", lambda *_: toggles)
+    monkeypatch.setattr(kill_analysis, "all_cases", lambda *_: toggles)
     faulty = plant(load_device(SMALL), load_faults()["toggle_ignored"])
-    monkeypatch.setattr(mutate, "as_built", lambda _: as_built(faulty))
+    monkeypatch.setattr(kill_analysis, "as_built", lambda _: as_built(faulty))
     with pytest.raises(UserError, match=r"reference is blamed without a mistake in sdo/.*repair"):
         analyse(SMALL, depth="quick")
 
@@ -1018,13 +1018,13 @@ def test_a_device_that_is_blamed_as_it_is_is_refused(monkeypatch: pytest.MonkeyP
 def test_the_single_faults_of_finite_machines_are_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(mutate, "all_cases", lambda *_: ())
-    monkeypatch.setattr(mutate, "mutants", lambda _: iter(()))
-    monkeypatch.setattr(mutate, "_equivalents", lambda *_: None)
+    monkeypatch.setattr(kill_analysis, "all_cases", lambda *_: ())
+    monkeypatch.setattr(kill_analysis, "mutants", lambda _: iter(()))
+    monkeypatch.setattr(kill_analysis, "_equivalents", lambda *_: None)
     model = Model(load_device(SMALL))
     (suite,) = complete_suites(model, NO_LIMITS, (), {}, "default")
     first = replace(suite, suite=state_cover_suite(suite.found.machine))
-    monkeypatch.setattr(mutate, "complete_suites", lambda *_: iter((first,)))
+    monkeypatch.setattr(kill_analysis, "complete_suites", lambda *_: iter((first,)))
     found = analyse(SMALL)
     (table,) = found.tables
     machine = suite.found.machine

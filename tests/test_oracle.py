@@ -1,4 +1,4 @@
-"""The only place for tests of judging: faults planted in a virtual SubDevice, found by clause."""
+"""Tests of judging: faults planted in a virtual SubDevice, found by clause."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 from msgspec import structs
 
-from ecatspec.conformance.adapter import Description
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.session import Deviation, Session
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.bringup import WAY_UP, mailbox_settings, request, way_to
-from ecatspec.generators.case import (
+from ecatspec.conformance.base.adapter import Description
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.session import Deviation, Session
+from ecatspec.generators.cases.bringup import WAY_UP, mailbox_settings, request, way_to
+from ecatspec.generators.cases.case import (
     Case,
     Probe,
     Repeat,
@@ -26,22 +26,22 @@ from ecatspec.generators.case import (
     WriteOutputs,
     WriteRegister,
 )
-from ecatspec.generators.token import case_of
-from ecatspec.generators.transfers import (
+from ecatspec.generators.cases.case_codec import case_of
+from ecatspec.generators.cases.transfers import (
     download,
     normal_download,
     unsized,
     upload,
     upload_segment,
 )
-from ecatspec.model import subdevice
-from ecatspec.model.candidates import Exchange
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import SYNC_MANAGERS
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.state import Event, Output, RuleName, Step
+from ecatspec.model.core.values import UNKNOWN, Octets, Pattern, Unknown, concrete
+from ecatspec.model.esc import subdevice
+from ecatspec.model.esc.esc import SYNC_MANAGERS
+from ecatspec.model.esc.subdevice import VirtualSubDevice
+from ecatspec.model.oracle.explanations import Exchange
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.model.state import Event, Output, RuleName, Step
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import UNKNOWN, Octets, Pattern, Unknown, concrete
 from ecatspec.spec.language.ir import Bytes, Pin
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import ConditionRef, frame_fields
@@ -49,12 +49,12 @@ from ecatspec.spec.language.scope import ConditionRef, frame_fields
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.candidates import Mismatch
-    from ecatspec.model.codec import Message
-    from ecatspec.model.evaluate import Getter
-    from ecatspec.model.state import State
-    from ecatspec.model.values import Value
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.core.expressions import Getter
+    from ecatspec.model.core.state import State
+    from ecatspec.model.core.values import Value
+    from ecatspec.model.oracle.explanations import Mismatch
     from ecatspec.spec.language.ir import Choice, Condition, Protocol
     from ecatspec.spec.language.scope import Ref, Scope
 

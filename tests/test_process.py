@@ -1,4 +1,4 @@
-"""The only place for the tests of devices in another process: every way a device can die."""
+"""Tests of devices in another process: every way a device can die."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING
 import pytest
 from processes import descriptors, gone, living_group
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.adapters.line_protocol import MAXIMUM_LINE
+from ecatspec.conformance.adapters.process import STDERR_KEPT, ProcessAdapter
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     DeviceCrash,
     DeviceFault,
@@ -22,9 +25,6 @@ from ecatspec.conformance.adapter import (
     advance_until,
     read_all,
 )
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.lines import MAXIMUM_LINE
-from ecatspec.conformance.process import STDERR_KEPT, ProcessAdapter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

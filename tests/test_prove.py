@@ -1,4 +1,4 @@
-"""The only place for tests of proofs: planted contradictions are refuted, in readable words."""
+"""Tests of proofs: planted contradictions are refuted, in readable words."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ pytest.importorskip("z3")
 from ecatspec.conformance import cli
 from ecatspec.conformance import prove as report
 from ecatspec.conformance.prove import details, proof_sheet, prove
-from ecatspec.model.obligations import WORDING, Finding, Kind, Status, obligations
-from ecatspec.model.proofs import Prover
+from ecatspec.model.symbolic.obligations import WORDING, Finding, Kind, Status, obligations
+from ecatspec.model.symbolic.proofs import Prover
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.merge import merge_standard
 from ecatspec.spec.language.parse import parse_text

@@ -1,4 +1,4 @@
-"""The only place for tests of the pytest plugin: the suite of a device as tests of pytest."""
+"""Tests of the pytest plugin: the suite of a device as tests of pytest."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from ecatspec.conformance import pytest_plugin
-from ecatspec.conformance.adapter import AdapterError, Unheard
 from ecatspec.conformance.adapters import model, open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.case_executor import CaseExecutor
-from ecatspec.conformance.devices import going, load
-from ecatspec.conformance.dut_knowledge import SHAPE
+from ecatspec.conformance.base.adapter import AdapterError, Unheard
+from ecatspec.conformance.base.devices import going, load
+from ecatspec.conformance.base.verdict import Outcome
 from ecatspec.conformance.pytest_plugin import bench
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.run.case_executor import CaseExecutor
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Case, Limits
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Case, Limits
     from ecatspec.spec.language.ir import Protocol
 
 pytest_plugins = ["pytester"]
@@ -417,7 +417,7 @@ def test_the_plugin_is_light_and_declared() -> None:
         "ecatspec.conformance.pytest_plugin",
         "ecatspec.conformance.pytest_plugin.warned",
         "ecatspec.generators",
-        "ecatspec.generators.depths",
+        "ecatspec.generators.cases.depths",
     ]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["entry-points"]["pytest11"] == {NAME: pytest_plugin.__name__}

@@ -1,4 +1,4 @@
-"""The only place for tests of what a device can never reach."""
+"""Tests of what a device can never reach."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from grounds import GROUNDS, REFERENCE, Ground, apart, suite
 
-from ecatspec.conformance.coverage import extent_of
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.dut_knowledge import shape_of
-from ecatspec.conformance.runner import run_device
-from ecatspec.model.compiled import Model, rows_of
-from ecatspec.model.reach import clauses_beyond, rules_beyond
-from ecatspec.model.state import RuleName
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run.coverage import extent_of
+from ecatspec.conformance.run.dut_knowledge import shape_of
+from ecatspec.conformance.run.runner import run_device
+from ecatspec.model.analysis.unreachable import clauses_beyond, rules_beyond
+from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.core.state import RuleName
 
 TERMINAL = str(Path(__file__).parent / "devices" / "terminal.ecs")
 EACH_GROUND = [
@@ -74,9 +74,9 @@ def test_a_device_without_the_words_of_a_drive_is_none() -> None:
     found = beyond("reference")
     commands = {"ds402.command_taken", "ds402.shutdown_2", "ds402.enable_operation_4"}
     own = {"ds402.initialised_1", "ds402.operational_untested"}
-    befall = {"ds402.fault_13", "ds402.operational_without_drive"}
+    unreachable = {"ds402.fault_13", "ds402.operational_without_drive"}
     assert commands | own <= found
-    assert befall.isdisjoint(found)
+    assert unreachable.isdisjoint(found)
     drive = beyond("reference-drive")
     assert (commands | own | {"ds402.fault_13"}).isdisjoint(drive)
     assert "ds402.operational_without_drive" in drive

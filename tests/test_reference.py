@@ -1,4 +1,4 @@
-"""The only place for tests of the pages of reference: they leave out nothing of what they show."""
+"""Tests of the pages of reference: they leave out nothing of what they show."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from importlib import resources
 import pytest
 from lark import Lark
 
-from ecatspec.conformance.reference import grammar_page, standard_page
+from ecatspec.conformance.describe.reference_pages import grammar_page, standard_page
 from ecatspec.spec import language
 from ecatspec.spec.language.ir import (
     Clause,

@@ -1,4 +1,4 @@
-"""The only place for tests of examples/replay_js: it judges as `ecatspec replay` does."""
+"""Tests of examples/replay_js: it judges as `ecatspec replay` does."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import pytest
 
-from ecatspec.conformance.process import ProcessAdapter
+from ecatspec.conformance.adapters.process import ProcessAdapter
+from ecatspec.conformance.base.verdict import Outcome
 from ecatspec.conformance.vectors.export import Wanted, export
 from ecatspec.conformance.vectors.replay import Player
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.vectors import Vectors
-from ecatspec.model.compiled import Model
+from ecatspec.generators.vectors.schema import Vectors
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ pytestmark = [
 def virtual(fault: str = "") -> list[str]:
     options = {"fault": fault} if fault else {}
     arguments = json.dumps({"device": "reference", "options": options})
-    return [sys.executable, "-m", "ecatspec.conformance.host", "model", arguments]
+    return [sys.executable, "-m", "ecatspec.conformance.adapters.host", "model", arguments]
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The only place for the tests of the reports: what people and machines are told of a result."""
+"""Tests of the reports: what people and machines are told of a result."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ecatspec.conformance import reports
-from ecatspec.conformance.colours import coloured
-from ecatspec.conformance.marks import parts
-from ecatspec.conformance.reached import Mark, Reached, lacking, reached
+from ecatspec.conformance.base.verdict import Outcome, Result, SetUp, TraceLine, Verdict
+from ecatspec.conformance.render.colours import coloured
+from ecatspec.conformance.render.marks import parts
 from ecatspec.conformance.reports import REPORTS, judged
 from ecatspec.conformance.reports.json_report import SCHEMA, VERSION, json_schema
 from ecatspec.conformance.reports.text import WIDTH
-from ecatspec.conformance.verdict import Outcome, Result, SetUp, TraceLine, Verdict
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.run.machine_coverage import Mark, Reached, lacking, reached
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Level, Pin, Protocol
 from ecatspec.spec.language.load import load_device, load_standard
 
@@ -263,7 +263,7 @@ def test_a_chart_has_the_bytes_of_messages() -> None:
 def test_what_does_not_go_over_the_bus_has_no_arrow() -> None:
     lines = chart(
         TraceLine(0, "MainDevice", "waits 5.0 ms"),
-        TraceLine(0, "SubDevice", "is befallen by sync lost"),
+        TraceLine(0, "SubDevice", "has the local event sync lost"),
         TraceLine(0, "reason", "SyncManager 2 length 3"),
     )
     assert [line[14:27] for line in lines[1:]] == ["|           |"] * 3

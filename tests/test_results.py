@@ -1,4 +1,4 @@
-"""The only place for tests of results files: what is kept, what is resumed, what a death loses."""
+"""Tests of results files: what is kept, what is resumed, what a death loses."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from pathlib import Path
 import pytest
 from short import DRIVE, FAULT, SMALL, same, shorten
 
-from ecatspec.conformance import cli, results
-from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance import cli
+from ecatspec.conformance.base.devices import UserError, load
+from ecatspec.conformance.base.verdict import Outcome, TraceLine, Verdict
 from ecatspec.conformance.reports import REPORTS
-from ecatspec.conformance.results import Basis, FoundWay, begin, read
-from ecatspec.conformance.runner import run_device
-from ecatspec.conformance.steps import Judged, Learned
-from ecatspec.conformance.verdict import Outcome, TraceLine, Verdict
+from ecatspec.conformance.results import run_file
+from ecatspec.conformance.results.run_file import Basis, FoundWay, begin, read
+from ecatspec.conformance.run.runner import run_device
+from ecatspec.conformance.run.work_items import Judged, Learned
 
 Call = Callable[..., tuple[int, str, str]]
 
@@ -168,23 +169,23 @@ def elsewhere(file: Path, code: str) -> str:
 
 _OTHER = """
 from pathlib import Path
-from ecatspec.conformance import results
-from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.results import run_file
+from ecatspec.conformance.base.devices import UserError
 path = Path(sys.argv[1])
-results._PATIENCE = 0.1
+run_file._PATIENCE = 0.1
 try:
 """
 _OTHERWISE = """
 except UserError as error:
     print(error)
 """
-_READ = "run = results.read(path); print(len(run.verdicts), run.finished)"
+_READ = "run = run_file.read(path); print(len(run.verdicts), run.finished)"
 
 
 def test_one_run_writes_a_file_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "run"
     refused = f"a run is writing {file}; wait for its end"
-    monkeypatch.setattr(results, "_PATIENCE", 0.1)
+    monkeypatch.setattr(run_file, "_PATIENCE", 0.1)
     with begin(file, BASIS) as journal:
         for judged in JUDGED:
             journal.keep(judged)
@@ -226,8 +227,8 @@ def test_what_is_read_is_of_one_moment(tmp_path: Path, monkeypatch: pytest.Monke
             journal.finish()
             return basis
 
-        basis_of = results._basis_of  # noqa: SLF001
-        monkeypatch.setattr(results, "_basis_of", meanwhile)
+        basis_of = run_file._basis_of  # noqa: SLF001
+        monkeypatch.setattr(run_file, "_basis_of", meanwhile)
         run = read(file)
         monkeypatch.undo()
         assert (run.verdicts, run.finished) == ((JUDGED[0].verdict,), False)
@@ -238,10 +239,10 @@ def test_who_reads_for_long_takes_the_companions_away(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "run"
-    monkeypatch.setattr(results, "_PATIENCE", 0.1)
+    monkeypatch.setattr(run_file, "_PATIENCE", 0.1)
     with begin(file, BASIS) as journal:
         journal.keep(JUDGED[0])
-        reader = results._opened(file)  # noqa: SLF001
+        reader = run_file._opened(file)  # noqa: SLF001
         reader.execute("BEGIN")
         assert reader.execute("SELECT count(*) FROM step").fetchone() == (1,)
         journal.keep(JUDGED[1])
@@ -360,12 +361,12 @@ def test_a_resumed_run_is_as_one_that_nobody_interrupted(
         assert read(file).verdicts == part.verdicts == whole.verdicts[: stop - 1]
     asked: list[str] = []
 
-    def counted(journal: results.Journal, judged: Judged) -> None:
+    def counted(journal: run_file.Journal, judged: Judged) -> None:
         asked.append(judged.name)
         keep_it(journal, judged)
 
-    keep_it = results.Journal.keep
-    monkeypatch.setattr(results.Journal, "keep", counted)
+    keep_it = run_file.Journal.keep
+    monkeypatch.setattr(run_file.Journal, "keep", counted)
     same(run_device(device, dut, keep=partial(begin, file, resume=True)), whole)
     assert len(asked) == count - len(part.verdicts), "nothing is judged twice"
     same(run_device(device, dut, keep=partial(begin, file, resume=True)), whole)
@@ -410,11 +411,12 @@ import sys; sys.path = {path}
 import os, random, signal, time
 from functools import partial
 from pathlib import Path
-from ecatspec.conformance import results, runner
-from ecatspec.conformance.devices import load
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.results import run_file
+from ecatspec.conformance.run import runner
+from ecatspec.conformance.base.devices import load
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 file, chosen = Path(sys.argv[1]), random.Random(11)
 cases = [c for c in all_cases(Model(load("reference")), NO_LIMITS, "quick") if c.layer == "al"]
@@ -423,7 +425,7 @@ runner.all_cases = lambda *_: cases
 def child(told):
     def progress(number, total, name):
         os.write(told, number.to_bytes(4, "big"))
-    keep = partial(results.begin, file, resume=file.exists())
+    keep = partial(run_file.begin, file, resume=file.exists())
     options = dict(depth="quick", only=("al",), keep=keep, progress=progress)
     runner.run_device("reference", "model", **options)
     os._exit(0)
@@ -448,7 +450,7 @@ while deaths < 20:
     deaths += os.WIFSIGNALED(status)
     # what was told to be next: all before it is judged
     judged, before = int.from_bytes(last, "big"), count
-    run = results.read(file)
+    run = run_file.read(file)
     count = len(run.verdicts)
     names = [verdict.case for verdict in run.verdicts]
     assert names == [case.name for case in cases[:count]], "none lost, none twice"

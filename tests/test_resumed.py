@@ -1,4 +1,4 @@
-"""The only place for tests of cases that go on where the one before was."""
+"""Tests of cases that go on where the one before was."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import pytest
 from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import NO_LIMITS, Case
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.case import NO_LIMITS, Case
+from ecatspec.generators.cases.transfers import upload
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.transfers import upload
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from ecatspec.conformance.verdict import Verdict
+    from ecatspec.conformance.base.verdict import Verdict
 
 DEVICE = "reference-drive"
 STEP = 31

@@ -1,4 +1,4 @@
-"""The only place for tests of a run: verdict kinds, devices that die, and the canopen package."""
+"""Tests of a run: verdict kinds, devices that die, and the canopen package."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from typing import TYPE_CHECKING
 import pytest
 from causes import CANOPEN, told
 
-from ecatspec.conformance import runner as runner_module
-from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
-from ecatspec.conformance.case_executor import limits_of
-from ecatspec.conformance.devices import UserError
-from ecatspec.conformance.dut_knowledge import SHAPE, shape_of
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.session import Deviation
-from ecatspec.conformance.verdict import BLAMING, Outcome, Verdict
-from ecatspec.generators.bringup import request, way_to
-from ecatspec.generators.case import NO_LIMITS, Case, Happen, Probe, WriteOutputs
+from ecatspec.conformance.base.adapter import AdapterError, Description
+from ecatspec.conformance.base.devices import UserError
+from ecatspec.conformance.base.verdict import BLAMING, Outcome, Verdict
+from ecatspec.conformance.run import runner as runner_module
+from ecatspec.conformance.run.case_executor import limits_of
+from ecatspec.conformance.run.dut_knowledge import SHAPE, shape_of
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.conformance.run.session import Deviation
+from ecatspec.generators.cases.bringup import request, way_to
+from ecatspec.generators.cases.case import NO_LIMITS, Case, Happen, Probe, WriteOutputs
+from ecatspec.generators.cases.case_codec import case_of, token_of
+from ecatspec.generators.cases.transfers import upload
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.token import case_of, token_of
-from ecatspec.generators.transfers import upload
-from ecatspec.model.compiled import Model
-from ecatspec.model.state import RuleName
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.state import RuleName
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Fault, Pin
 from ecatspec.spec.language.load import load_device, plant
 from ecatspec.spec.language.parse import parse_text
@@ -39,9 +39,9 @@ from ecatspec.spec.language.parse import parse_text
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.conformance.verdict import Result
-    from ecatspec.generators.case import Limits
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.conformance.base.verdict import Result
+    from ecatspec.generators.cases.case import Limits
 
 DEVICE = "kollmorgen-akd"
 MODEL = Model(load_device(DEVICE))

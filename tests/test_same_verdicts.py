@@ -1,4 +1,4 @@
-"""The only place for the test that the way to a device changes no verdict."""
+"""Test that the way to a device changes no verdict."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from c_device import TEXT, WHERE, build
 from inetd import Served
 
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Case
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Case
 
 WAYS = ("lib", "tcp", "unix")
 """Each beside a program on stdin and stdout; of these `lib` is asked for several reads at once."""

@@ -1,4 +1,4 @@
-"""The only place for tests of tables of words."""
+"""Tests of tables of words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ecatspec.conformance.sheets import Sheet, markdown_table, text_table
+from ecatspec.conformance.render.tables import Sheet, markdown_table, text_table
 
 words = st.text(st.sampled_from("ab "), max_size=90).map(lambda text: " ".join(text.split()))
 

@@ -1,4 +1,4 @@
-"""The only place for tests of `ecatspec simulate`: real MainDevices at the other end of a cable."""
+"""Tests of `ecatspec simulate`: real MainDevices at the other end of a cable."""
 
 from __future__ import annotations
 

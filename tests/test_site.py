@@ -1,4 +1,4 @@
-"""The only place for tests of the site: it builds without a warning, and loads its own files."""
+"""Tests of the site: it builds without a warning, and loads its own files."""
 
 from __future__ import annotations
 

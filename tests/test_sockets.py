@@ -1,4 +1,4 @@
-"""The only place for tests of devices behind sockets: they answer, die, and come back or do not."""
+"""Tests of devices behind sockets: they answer, die, and come back or do not."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from inetd import Served
 from processes import descriptors
 from test_process import HEAD, LOOP, on_read
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters import open_adapter
+from ecatspec.conformance.adapters.contract_test import check_adapter
+from ecatspec.conformance.adapters.line_protocol import MAXIMUM_LINE
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     DeviceCrash,
     DeviceFault,
     DeviceHang,
     DeviceRubbish,
 )
-from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.kit import check_adapter
-from ecatspec.conformance.lines import MAXIMUM_LINE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
 
     Serve = Callable[[str], Served]
 

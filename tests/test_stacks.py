@@ -1,4 +1,4 @@
-"""The only place for tests of what is told of a crash: its kind, its place, its stack."""
+"""Tests of what is told of a crash: its kind, its place, its stack."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 import pytest
 from c_device import library, sanitizes
 
-from ecatspec.conformance import stacks
-from ecatspec.conformance.adapter import DeviceCrash
-from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.stacks import Crash, Frame, crash, own_words
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.adapters import crash_stack, open_adapter
+from ecatspec.conformance.adapters.crash_stack import Crash, Frame, crash, own_words
+from ecatspec.conformance.base.adapter import DeviceCrash
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -123,7 +122,7 @@ def test_the_stack_has_the_frames_of_the_device_only() -> None:
     assert found is not None
     assert [*map(str, found.stack)] == ["write_mailbox (slave.c:212)", "handle (slave.c:99)"]
     deep = crash("==1==ERROR: AddressSanitizer: SEGV on\n" + frame("in f /a.c:1") * 40)
-    assert deep == Crash("SEGV", (Frame("f", "/a.c", "1"),) * stacks.SHOWN)
+    assert deep == Crash("SEGV", (Frame("f", "/a.c", "1"),) * crash_stack.SHOWN)
 
 
 def test_words_that_are_no_report_are_the_device_s_own() -> None:

@@ -1,4 +1,4 @@
-"""The only place for tests of the public strategies, and of the state machine of a device."""
+"""Tests of the public strategies, and of the state machine of a device."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from hypothesis import HealthCheck, Phase, find, given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
 
-from ecatspec.conformance.adapter import AdapterError, DeviceCrash
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.session import Session
-from ecatspec.conformance.stateful import state_machine
-from ecatspec.generators import strategies
-from ecatspec.generators.bringup import WAY_UP, way_to
-from ecatspec.generators.case import (
+from ecatspec.conformance.base.adapter import AdapterError, DeviceCrash
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run.session import Session
+from ecatspec.conformance.run.state_machine import state_machine
+from ecatspec.generators.cases.bringup import WAY_UP, way_to
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Happen,
     Limits,
@@ -30,12 +29,13 @@ from ecatspec.generators.case import (
     Stimulus,
     WriteRegisters,
 )
-from ecatspec.generators.families import request_frames
-from ecatspec.generators.token import case_of
-from ecatspec.model.compiled import Model
-from ecatspec.model.dictionary import decode_value, size_of, size_varies
+from ecatspec.generators.cases.case_codec import case_of
+from ecatspec.generators.mutation.message_mutation import request_frames
+from ecatspec.generators.random import strategies
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.object_dictionary import decode_value, size_of, size_varies
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from ecatspec.spec.language.ir import ObjectEntry

@@ -1,4 +1,4 @@
-"""The only place for tests of strings whose size is fixed, varies, or is not said by the text."""
+"""Tests of strings whose size is fixed, varies, or is not said by the text."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.bringup import case_in
-from ecatspec.generators.transfers import download, upload
-from ecatspec.model.compiled import Model
-from ecatspec.model.dictionary import encode_value, size_varies
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.bringup import case_in
+from ecatspec.generators.cases.transfers import download, upload
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.object_dictionary import encode_value, size_varies
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import ObjectEntry
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.parse import parse_text

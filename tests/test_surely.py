@@ -1,4 +1,4 @@
-"""The only place for tests of how sure a finding is: ways it depends on, and no power cycle."""
+"""Tests of how sure a finding is: ways it depends on, and no power cycle."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 
-from ecatspec.conformance import runner as runner_module
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.case_executor import CaseExecutor
+from ecatspec.conformance.base.devices import UserError, load
+from ecatspec.conformance.base.verdict import Outcome, SetUp
 from ecatspec.conformance.cli import main
-from ecatspec.conformance.devices import UserError, load
-from ecatspec.conformance.dut_knowledge import ways_of
-from ecatspec.conformance.marks import interruption
-from ecatspec.conformance.runner import Runner, run_device
-from ecatspec.conformance.verdict import Outcome, SetUp
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import NO_LIMITS, Case, Probe
+from ecatspec.conformance.render.marks import interruption
+from ecatspec.conformance.run import runner as runner_module
+from ecatspec.conformance.run.case_executor import CaseExecutor
+from ecatspec.conformance.run.dut_knowledge import ways_of
+from ecatspec.conformance.run.runner import Runner, run_device
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.case import NO_LIMITS, Case, Probe
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.values import UNKNOWN
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.model.values import UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.conformance.adapter import Description
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Limits
+    from ecatspec.conformance.base.adapter import Description
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Limits
 
 DEVICE: Final = "reference"
 DRIVE: Final = "reference-drive"

@@ -14,20 +14,21 @@ from hypothesis import strategies as st
 
 pytest.importorskip("z3")
 
-from ecatspec.generators.bringup import has_process_data, mailbox_settings, request
-from ecatspec.generators.case import SetUpProcessData, WriteOutputs
-from ecatspec.generators.play import play
-from ecatspec.model.chains import Chains
-from ecatspec.model.compiled import Model, rows_of
-from ecatspec.model.evaluate import Environment, before
-from ecatspec.model.functions import PLAIN
-from ecatspec.model.interpreter import step
-from ecatspec.model.meaning import Meaning
-from ecatspec.model.moments import Content, Moment
-from ecatspec.model.shown import usual_mailbox
-from ecatspec.model.state import Event, RuleName
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.terms import (
+from ecatspec.generators.cases.bringup import has_process_data, mailbox_settings, request
+from ecatspec.generators.cases.case import SetUpProcessData, WriteOutputs
+from ecatspec.generators.cases.play import play
+from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.core.expressions import Environment, before
+from ecatspec.model.core.functions import PLAIN
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.observables import usual_mailbox
+from ecatspec.model.core.state import Event, RuleName
+from ecatspec.model.core.values import UNKNOWN, Pattern, Value
+from ecatspec.model.esc.subdevice import VirtualSubDevice
+from ecatspec.model.symbolic.smt_encoding import Meaning
+from ecatspec.model.symbolic.symbolic_execution import Chains
+from ecatspec.model.symbolic.symbolic_state import Content, Moment
+from ecatspec.model.symbolic.terms import (
     Answer,
     Solver,
     Symbols,
@@ -40,7 +41,6 @@ from ecatspec.model.terms import (
     settled,
     two_of,
 )
-from ecatspec.model.values import UNKNOWN, Pattern, Value
 from ecatspec.spec.language.arithmetic import DIVISIONS
 from ecatspec.spec.language.ir import (
     AnyValue,
@@ -67,7 +67,7 @@ from ecatspec.spec.language.scope import (
 )
 
 if TYPE_CHECKING:
-    from ecatspec.model.state import State
+    from ecatspec.model.core.state import State
     from ecatspec.spec.language.ir import Expression, Type
 
 DEVICES = ("reference-drive", "kollmorgen-s300")

@@ -1,4 +1,4 @@
-"""The only place for tests of traceability: from a clause to its cases, and out to other tools."""
+"""Tests of traceability: from a clause to its cases, and out to other tools."""
 
 from __future__ import annotations
 
@@ -13,20 +13,28 @@ import pytest
 from click.testing import CliRunner
 from reqif.parser import ReqIFParser
 
-from ecatspec.conformance import cli, record, runner
-from ecatspec.conformance.exercise import Touch
-from ecatspec.conformance.files import write_whole
-from ecatspec.conformance.record import CaseRecord, Record
-from ecatspec.conformance.requirements import reqif
-from ecatspec.conformance.results import Basis
-from ecatspec.conformance.steps import Judged, Learned
-from ecatspec.conformance.trace import Standing, Trace, clause_sheet, total_sheet, trace_device
-from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.generators.case import NO_LIMITS, Case
+from ecatspec.conformance import cli
+from ecatspec.conformance.base.atomic_write import write_whole
+from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
+from ecatspec.conformance.results import run_history
+from ecatspec.conformance.results.run_file import Basis
+from ecatspec.conformance.results.run_history import CaseRecord, Record
+from ecatspec.conformance.run import runner
+from ecatspec.conformance.run.work_items import Judged, Learned
+from ecatspec.conformance.traceability.case_footprint import Touch
+from ecatspec.conformance.traceability.requirements import reqif
+from ecatspec.conformance.traceability.trace import (
+    Standing,
+    Trace,
+    clause_sheet,
+    total_sheet,
+    trace_device,
+)
+from ecatspec.generators.cases.case import NO_LIMITS, Case
+from ecatspec.generators.cases.transfers import download, upload
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.transfers import download, upload
-from ecatspec.model.citations import Foundations, citations, object_name
-from ecatspec.model.compiled import Model
+from ecatspec.model.analysis.citations import Foundations, citations, object_name
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device, load_file
 
 if TYPE_CHECKING:
@@ -188,16 +196,16 @@ def keep(protocol: Protocol, rule: str, only: tuple[str, ...] = ()) -> Path:
     """Keep a run of one case, which went by one rule."""
     board = {"name": "a board"}
     basis = Basis(protocol.name, protocol.digest, "exec:x", board, "quick", 0, "", only)
-    with record.begin(basis) as journal:
+    with run_history.begin(basis) as journal:
         case = next(iter(ran(Model(protocol), rule, Outcome.WARNING).cases))
         verdict = Verdict(case, Outcome.WARNING, "a case", rules=(rule,))
         journal.keep(Judged(case, verdict, Learned()))
-    return record.files(protocol.name)[0]
+    return run_history.files(protocol.name)[0]
 
 
 def test_a_record_comes_back_as_it_was(model: Model, state_folder: Path) -> None:
     file = keep(model.protocol, "al.to_init")
-    assert record.load(model.protocol) == ran(model, "al.to_init", Outcome.WARNING)
+    assert run_history.load(model.protocol) == ran(model, "al.to_init", Outcome.WARNING)
     assert file.parent == state_folder / "ecatspec" / "runs" / "mine"
     assert [each.name for each in file.parent.glob(f"{file.name}*")] == [file.name]
 
@@ -206,28 +214,28 @@ def test_a_record_comes_back_as_it_was(model: Model, state_folder: Path) -> None
 def test_a_damaged_record_counts_as_none(model: Model, damage: str) -> None:
     forget(model.protocol)
     keep(model.protocol, "al.to_init").write_bytes(damage.encode("utf-8", "surrogateescape"))
-    assert record.load(model.protocol) is None
+    assert run_history.load(model.protocol) is None
 
 
 def test_a_record_of_other_texts_counts_as_none(model: Model, tmp_path: Path) -> None:
     keep(model.protocol, "al.to_init")
     file = tmp_path / "mine.ecs"
     file.write_text(TEXT.replace("= 100", "= 101"), encoding="utf-8")
-    assert record.load(load_file(str(file))) is None
+    assert run_history.load(load_file(str(file))) is None
 
 
 def test_a_run_of_some_layers_is_no_record_of_all(model: Model) -> None:
     keep(model.protocol, "al.to_init")
     keep(model.protocol, "al.unknown_state_stays", only=("al",))
-    assert record.load(model.protocol) == ran(model, "al.to_init", Outcome.WARNING)
+    assert run_history.load(model.protocol) == ran(model, "al.to_init", Outcome.WARNING)
 
 
 def test_the_last_runs_of_a_device_are_kept(model: Model) -> None:
     forget(model.protocol)
     kept = [keep(model.protocol, "al.to_init") for _ in range(12)]
-    assert record.files(model.protocol.name) == kept[:1:-1]
-    assert (record.named("last"), record.named("previous")) == (kept[-1], kept[-2])
-    assert record.named("here") == Path("here")
+    assert run_history.files(model.protocol.name) == kept[:1:-1]
+    assert (run_history.named("last"), run_history.named("previous")) == (kept[-1], kept[-2])
+    assert run_history.named("here") == Path("here")
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
@@ -268,7 +276,7 @@ def called(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[int, str, str
 
 
 def forget(protocol: Protocol) -> None:
-    for file in record.files(protocol.name):
+    for file in run_history.files(protocol.name):
         file.unlink()
 
 

@@ -1,4 +1,4 @@
-"""The only place for tests of transfers in any order: no sound device is blamed, a bad one is."""
+"""Tests of transfers in any order: no sound device is blamed, a bad one is."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from hypothesis.stateful import (
 )
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.session import Deviation, InconclusiveError, Session
-from ecatspec.generators.bringup import request, way_to
-from ecatspec.generators.case import NO_LIMITS, Probe, Repeat, SendFrame, SendSegments
-from ecatspec.generators.client import Ask, Begin, Move, Segment, played
-from ecatspec.generators.strategies import begins, commands, downloads, moves, uploads
-from ecatspec.generators.transfers import abort, normal_download, pattern, upload
-from ecatspec.model.compiled import Model
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
+from ecatspec.generators.cases.bringup import request, way_to
+from ecatspec.generators.cases.case import NO_LIMITS, Probe, Repeat, SendFrame, SendSegments
+from ecatspec.generators.cases.client import Ask, Begin, Move, Segment, played
+from ecatspec.generators.cases.transfers import abort, normal_download, pattern, upload
+from ecatspec.generators.random.strategies import begins, commands, downloads, moves, uploads
+from ecatspec.model.core.compilation import Model
 from ecatspec.model.oracle.oracle import Oracle
 
 DEVICE = "reference"

@@ -1,4 +1,4 @@
-"""The only place for tests of vector files: how they are read, what is refused, what lint finds."""
+"""Tests of vector files: how they are read, what is refused, what lint finds."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ import msgspec
 import pytest
 
 from ecatspec.conformance import cli
-from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.base.devices import UserError
 from ecatspec.conformance.vectors import files
 from ecatspec.conformance.vectors.export import Wanted, export
 from ecatspec.conformance.vectors.files import Reading, WrongError, opened
 from ecatspec.conformance.vectors.lint import MOST_SHOWN, lint
 from ecatspec.generators.formats import json_format
-from ecatspec.generators.vectors import Head, Vectors, json_schema
+from ecatspec.generators.vectors.schema import Head, Vectors, json_schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -249,7 +249,7 @@ def test_a_part_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) ->
 HOSTILE = textwrap.dedent(
     """
     import resource, sys
-    from ecatspec.conformance.devices import UserError
+    from ecatspec.conformance.base.devices import UserError
     from ecatspec.conformance.vectors.files import Reading
 
     limit = 200 << 20

@@ -1,4 +1,4 @@
-"""The only place for tests of test vectors: recorded from a virtual device, played on others."""
+"""Tests of test vectors: recorded from a virtual device, played on others."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ import msgspec
 import pytest
 from c_device import SOURCES, TEXT, WHERE, sanitizes
 
-from ecatspec.conformance.adapter import Description
+from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import UserError, going, load
-from ecatspec.conformance.dut_knowledge import SHAPE
-from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.base.adapter import Description
+from ecatspec.conformance.base.devices import UserError, going, load
+from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.conformance.vectors import export as exporting
 from ecatspec.conformance.vectors.export import OTHER_WAYS, Wanted, export
 from ecatspec.conformance.vectors.replay import Player
-from ecatspec.conformance.verdict import Outcome
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.formats import FORMATS, c_format
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.vectors import (
+from ecatspec.generators.vectors.schema import (
     CONFIGURATION,
     Allowed,
     Full,
@@ -41,16 +41,16 @@ from ecatspec.generators.vectors import (
     Step,
     Vectors,
 )
-from ecatspec.model.compiled import Model
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import device_names, load_device
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Case, Limits
-    from ecatspec.generators.vectors import Test
+    from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.generators.cases.case import Case, Limits
+    from ecatspec.generators.vectors.schema import Test
     from ecatspec.spec.language.ir import Protocol
 
 SAMPLE = 80

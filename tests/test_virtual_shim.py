@@ -1,4 +1,4 @@
-"""The only place for the test that our own device gets the same verdicts as a library in C."""
+"""Test that our own device gets the same verdicts as a library in C."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 from c_device import library
 
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.runner import Runner
-from ecatspec.conformance.verdict import BLAMING, Outcome, Verdict
-from ecatspec.generators.case import NO_LIMITS
+from ecatspec.conformance.base.verdict import BLAMING, Outcome, Verdict
+from ecatspec.conformance.run.runner import Runner
+from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 DEVICE = "reference"
@@ -42,7 +42,7 @@ def shim(folder: Path, fault: str) -> str:
     locals_ = " ".join(sorted(adapter.describe().locals))
     adapter.close()
     set_up = json.dumps({"device": DEVICE, "options": {"fault": fault} if fault else {}})
-    host = [sys.executable, "-P", "-m", "ecatspec.conformance.host", "model", set_up]
+    host = [sys.executable, "-P", "-m", "ecatspec.conformance.adapters.host", "model", set_up]
     head = f"#define COMMAND {', '.join(map(json.dumps, host))}\n"
     head += f"#define LOCALS {json.dumps(locals_)}\n"
     source = head + SHIM.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The only place for tests of seeded walks, of tokens of cases, and of shrinking."""
+"""Tests of seeded walks, of tokens of cases, and of shrinking."""
 
 from __future__ import annotations
 
@@ -17,13 +17,12 @@ from hypothesis import strategies as st
 from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.dut_knowledge import SHAPE
-from ecatspec.conformance.shrink import shortest
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.generators import dice
-from ecatspec.generators.bringup import WAY_UP
-from ecatspec.generators.case import (
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.shrink import shortest
+from ecatspec.generators.cases.bringup import WAY_UP
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Case,
     Happen,
@@ -40,20 +39,21 @@ from ecatspec.generators.case import (
     WriteRegisters,
     WriteUntilTaken,
 )
-from ecatspec.generators.family_cover import family_cover
-from ecatspec.generators.ground import ground
-from ecatspec.generators.strategies import traces
+from ecatspec.generators.cases.case_codec import case_of, check, from_data, to_data, token_of
+from ecatspec.generators.covers.malformed_cover import family_cover
+from ecatspec.generators.random import stable_random
+from ecatspec.generators.random.strategies import traces
+from ecatspec.generators.random.walk_alphabet import ground
+from ecatspec.generators.random.walks import walk
 from ecatspec.generators.suite import GENERATORS
-from ecatspec.generators.token import case_of, check, from_data, to_data, token_of
-from ecatspec.generators.walks import walk
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import SYNC_MANAGERS
-from ecatspec.model.values import UNKNOWN
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.values import UNKNOWN
+from ecatspec.model.esc.esc import SYNC_MANAGERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ecatspec.conformance.runner import Runner
+    from ecatspec.conformance.run.runner import Runner
 
 DEVICES = (
     "reference",
@@ -115,7 +115,7 @@ def test_only_the_one_stable_function_of_random_is_used(monkeypatch: pytest.Monk
         def __init__(self, seed: int) -> None:
             self.random = random.Random(seed).random
 
-    monkeypatch.setattr(dice, "Random", Bare)
+    monkeypatch.setattr(stable_random, "Random", Bare)
     assert [walked("reference-drive", seed) for seed in range(10)] == wanted
 
 

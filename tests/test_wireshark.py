@@ -1,4 +1,4 @@
-"""The only place for the tests of our layouts of frames against a foreign decoder: Wireshark."""
+"""Tests of our layouts of frames against a foreign decoder: Wireshark."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from xml.etree import ElementTree as ET
 import dpkt
 import pytest
 
-from ecatspec.model.compiled import Model
-from ecatspec.model.evaluate import Environment, Getter, compile_expression
-from ecatspec.model.functions import PLAIN
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.expressions import Environment, Getter, compile_expression
+from ecatspec.model.core.functions import PLAIN
 from ecatspec.spec.language.ir import Bytes, FrameField, Name, Named
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.scope import names_in, width_of
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.values import Value
 
 pytestmark = pytest.mark.xdist_group("wireshark")
 """It decodes all samples once, in one process."""

@@ -1,4 +1,4 @@
-"""The only place for a run inside a namespace: a script, run by tests.
+"""A run inside a namespace: a script, run by tests.
 
     python wire_run.py DEVICE DUT CASE...
 
@@ -12,14 +12,14 @@ import sys
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.case_executor import limits_of
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.runner import Runner
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.run.case_executor import limits_of
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
 
 Verdicts = dict[str, list[str]]
 

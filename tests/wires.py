@@ -1,4 +1,4 @@
-"""The only place for cables of tests: a network namespace with two ends, and what runs at them.
+"""Cables of tests: a network namespace with two ends, and what runs at them.
 
 A namespace lives as long as the process that holds it, so nothing is left behind.
 """

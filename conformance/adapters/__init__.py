@@ -27,17 +27,17 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
-from ecatspec.conformance.adapter import AdapterError, DeviceFault
-from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.libraries import environment, library_file
-from ecatspec.conformance.process import ProcessAdapter
-from ecatspec.conformance.sockets import at_path, at_port
+from ecatspec.conformance.adapters.in_process import Guarded
+from ecatspec.conformance.adapters.process import ProcessAdapter
+from ecatspec.conformance.adapters.shared_library import environment, library_file
+from ecatspec.conformance.adapters.sockets import at_path, at_port
+from ecatspec.conformance.base.adapter import AdapterError, DeviceFault
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from importlib.metadata import EntryPoint
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
 
     Factory = Callable[[str, Mapping[str, str]], Adapter]
     Opener = Callable[[str, str, float], Adapter]
@@ -168,7 +168,7 @@ def _open_hosted(
 def _host(name: str, device: str, options: Mapping[str, str]) -> list[str]:
     arguments = json.dumps({"device": device, "options": options})
     # -P: a file of the user's folder must not stand in for a module.
-    return [sys.executable, "-P", "-m", "ecatspec.conformance.host", name, arguments]
+    return [sys.executable, "-P", "-m", "ecatspec.conformance.adapters.host", name, arguments]
 
 
 def _open_library(rest: str, device: str, hang_timeout: float) -> Adapter:
@@ -191,7 +191,7 @@ def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
 
 
 def _open_here(name: str, device: str, options: Mapping[str, str]) -> Adapter:
-    from ecatspec.conformance.devices import UserError
+    from ecatspec.conformance.base.devices import UserError
 
     try:
         return _make(name, device, options)

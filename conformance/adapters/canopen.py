@@ -1,4 +1,4 @@
-"""The only place for the SDO server of the package canopen as a device under test.
+"""Tests the SDO server of the package canopen, as level A.
 
 Level B: the virtual SubDevice carries the mailbox, the package answers the SDO requests.  What
 is decided here, and why, so that a finding is the package's own:
@@ -38,13 +38,13 @@ import canopen
 from canopen.objectdictionary import ObjectDictionary, ODRecord, ODVariable, datatypes
 from canopen.sdo.constants import REQUEST_BLOCK_UPLOAD
 
-from ecatspec.conformance.adapter import AdapterError, Description
 from ecatspec.conformance.adapters import refuse_options
 from ecatspec.conformance.adapters.model import VirtualAdapter
-from ecatspec.conformance.devices import load
-from ecatspec.model.dictionary import encode_value, size_of, size_varies
-from ecatspec.model.evaluate import Environment
-from ecatspec.model.subdevice import VirtualSubDevice
+from ecatspec.conformance.base.adapter import AdapterError, Description
+from ecatspec.conformance.base.devices import load
+from ecatspec.model.core.expressions import Environment
+from ecatspec.model.core.object_dictionary import encode_value, size_of, size_varies
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import (
     Access,
     Area,
@@ -60,8 +60,8 @@ from ecatspec.spec.language.ir import (
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.model.values import ObjectKey
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.model.core.values import ObjectKey
     from ecatspec.spec.language.ir import ObjectEntry, Protocol
 
 Refusal: TypeAlias = Callable[["ObjectKey", bytes | None], str]
@@ -70,7 +70,7 @@ Refusal: TypeAlias = Callable[["ObjectKey", bytes | None], str]
 _NODE: Final = 1
 _FRAME: Final = 8
 _COMMAND: Final = 5
-"""The command specifier is above so many bits of the first byte."""
+"""The number of bits of the first byte below the command specifier."""
 _BLOCK: Final = f"unknown_command_{REQUEST_BLOCK_UPLOAD >> _COMMAND}"
 _NOTES: Final = (
     "limits: a normal download begins with its size alone, and a segment carries seven bytes",

@@ -44,7 +44,7 @@ struct ecatspec_device {
     /* Let so much time of the device pass. */
     void (*advance)(void *device, uint64_t microseconds);
 
-    /* Make a local event of `locals` befall the device. Returns 0; anything else: it does not know it. */
+    /* Raise a local event of `locals` in the device. Returns 0; anything else: it does not know it. */
     int (*local)(void *device, const char *event);
 };
 
@@ -70,7 +70,7 @@ struct ecatspec_stack {
     /* Power on: the ESC is as after its reset. Also called once after `create`. */
     void (*init)(void *stack);
 
-    /* One round of the main loop; so many microseconds have passed since the last one. It is called
+    /* One round of the main loop; `us` microseconds have passed since the last one. It is called
      * after what the MainDevice does, then with 0, and every millisecond while time passes. */
     void (*poll)(void *stack, uint32_t microseconds);
 

@@ -1,4 +1,4 @@
-"""The only place for a SubDevice on a network interface as a device under test.
+"""Tests a SubDevice on a network interface.
 
 What is sent, and why it is safe:
 
@@ -18,7 +18,9 @@ import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters import refuse_options
+from ecatspec.conformance.adapters.raw_socket import LARGEST_FRAME, failed, open_interface
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     Description,
     DeviceHang,
@@ -26,13 +28,11 @@ from ecatspec.conformance.adapter import (
     check_duration,
     check_span,
 )
-from ecatspec.conformance.adapters import refuse_options
-from ecatspec.conformance.devices import load
-from ecatspec.conformance.interface import LARGEST_FRAME, failed, open_interface
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask
-from ecatspec.model.link import linked
-from ecatspec.model.wire import COMMANDS, Datagram, Wire, filled, wire_format
+from ecatspec.conformance.base.devices import load
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.data_link import linked
+from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask
+from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, filled, wire_format
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.load import load_link
 

@@ -1,4 +1,4 @@
-"""The only place for a device in a shared library: the tables of ecatspec_dut.h, and their calls.
+"""Tests a device in a shared library, through the tables of ecatspec_dut.h.
 
 It runs in the process of the host, so that whatever the library does to it is a verdict. What it
 does wrong without dying of it (a byte too many, an access beyond the memory of the ESC) ends the
@@ -21,7 +21,7 @@ from ctypes import (
 )
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.base.adapter import (
     ADDRESS_SPACE,
     AdapterError,
     Description,
@@ -32,8 +32,8 @@ from ecatspec.conformance.adapter import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.model.esc import Esc
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.model.esc.esc import Esc
     from ecatspec.spec.language.ir import Protocol
 
 ABI: Final = 1
@@ -133,7 +133,7 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
     dut, chip = _load(options["path"])
     protocol: Protocol | None = None
     if dut.stack or dut.protocols is None:
-        from ecatspec.conformance.devices import load
+        from ecatspec.conformance.base.devices import load
 
         protocol = load(device)
     description = _description(dut, protocol)
@@ -143,8 +143,8 @@ def make(device: str, options: Mapping[str, str]) -> Adapter:
         functions = dut.device.contents
         return WholeDevice(functions, _created(functions.create()), description)
     assert protocol is not None
-    from ecatspec.model.bare import POLL
-    from ecatspec.model.link import linked
+    from ecatspec.model.esc.data_link import linked
+    from ecatspec.model.esc.stack_harness import POLL
     from ecatspec.spec.language.load import load_link
 
     poll = options.get("poll")
@@ -197,9 +197,9 @@ def _table(path: str, library: ctypes.CDLL, name: str, abi: int) -> int | None:
 
 def _with_chip(chip: _Chip, stack: object, protocol: Protocol, poll: int) -> int:
     """Create the chip that the library brings, with the stack above it."""
-    from ecatspec.conformance.chip import checksum
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.esc import Esc
+    from ecatspec.conformance.adapters.chip_header import checksum
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.esc.esc import Esc
     from ecatspec.spec.language.ir import Access
 
     model = Model(protocol)
@@ -288,7 +288,7 @@ class WholeDevice:
         self._functions.advance(self._device, round(seconds * _SECOND))
 
     def local(self, event: str) -> None:
-        """Make a local event befall the device."""
+        """Raise a local event in the device."""
         _happen(self._functions.local, self._device, event)
 
     def close(self) -> None:
@@ -308,7 +308,7 @@ class BareStack:
     def __init__(
         self, functions: _Stack, description: Description, protocol: Protocol, poll: int
     ) -> None:
-        from ecatspec.model.bare import BareSubDevice
+        from ecatspec.model.esc.stack_harness import BareSubDevice
 
         self._functions = functions
         self._description = description
@@ -392,7 +392,7 @@ class BareStack:
         self._bare.advance(seconds)
 
     def local(self, event: str) -> None:
-        """Make a local event befall the device."""
+        """Raise a local event in the device."""
         _happen(self._functions.local, self._stack, event)
         self.poll(0)
 

@@ -1,18 +1,18 @@
-"""The only place for the virtual SubDevice of model/ as a device under test."""
+"""Tests the virtual SubDevice of model/."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.adapters import refuse_options
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     Description,
     check_duration,
     check_span,
 )
-from ecatspec.conformance.adapters import refuse_options
-from ecatspec.conformance.devices import load, nearest
-from ecatspec.model.subdevice import Quirk, Snapshot, VirtualSubDevice
+from ecatspec.conformance.base.devices import load, nearest
+from ecatspec.model.esc.subdevice import Quirk, Snapshot, VirtualSubDevice
 from ecatspec.spec.language.load import load_faults, plant
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class VirtualAdapter:
         self._device.advance(seconds)
 
     def local(self, event: str) -> None:
-        """Make a local event befall the device."""
+        """Raise a local event in the device."""
         machine, _, name = event.partition(".")
         self._device.happen(machine, name, {})
 

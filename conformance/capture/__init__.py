@@ -1,1 +1,1 @@
-"""The only place for what a capture file holds: transactions, per SubDevice."""
+"""Reads capture files and judges them: packets, frames, transactions of each SubDevice."""

@@ -1,4 +1,4 @@
-"""The only place that reads pcap and pcapng files: packets with their times.
+"""Reads pcap and pcapng files: packets with their times.
 
 Memory stays flat however long a file is.
 """

@@ -1,4 +1,4 @@
-"""The only place for captured frames: requests, and which request came back."""
+"""Pairs captured frames: a request, and the request as it came back."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.wire import Datagram
+    from ecatspec.model.esc.wire import Datagram
 
 _PAIRED_SHARE: Final = 0.8
 

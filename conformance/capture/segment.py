@@ -1,4 +1,4 @@
-"""The only place that tells the SubDevices of a captured segment apart, and knows their FMMUs."""
+"""Tells the SubDevices of a captured segment apart, and follows their FMMUs."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
 
-from ecatspec.model.fmmu import Fmmu
+from ecatspec.model.esc.fmmu import Fmmu
 
 if TYPE_CHECKING:
-    from ecatspec.model.fmmu import Share
-    from ecatspec.model.wire import WireFormat
+    from ecatspec.model.esc.fmmu import Share
+    from ecatspec.model.esc.wire import WireFormat
     from ecatspec.spec.language.ir import Register
 
 

@@ -1,4 +1,4 @@
-"""The only place that makes transactions per SubDevice of a capture.
+"""Divides the datagrams of a capture into transactions of each SubDevice.
 
 A MainDevice sends a frame and the same frame comes back; a capture holds both. This module pairs
 the two and yields what the pair did: one read or write of ESC memory, with its working counter. A
@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from ecatspec.conformance.capture.files import NANOSECONDS, BrokenError, NoCaptureError, packets
 from ecatspec.conformance.capture.frames import Content, Frame, Pending, come_in_pairs
 from ecatspec.conformance.capture.segment import Mappings, Segment, Transaction
-from ecatspec.model.wire import Addressing, Command, Datagram, Wire
+from ecatspec.model.esc.wire import Addressing, Command, Datagram, Wire
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     from ecatspec.conformance.capture.files import Packet
-    from ecatspec.model.fmmu import Share
-    from ecatspec.model.wire import WireFormat
+    from ecatspec.model.esc.fmmu import Share
+    from ecatspec.model.esc.wire import WireFormat
 
 LOST_AFTER: Final = 1000
 """A request is given up when it is this many frames old."""

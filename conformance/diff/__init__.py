@@ -1,1 +1,1 @@
-"""The only place for what two specifications, or two devices, do differently."""
+"""Compares two specifications, or two devices."""

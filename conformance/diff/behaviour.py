@@ -1,4 +1,4 @@
-"""The only place where two devices are tried out side by side: where their answers part, and how.
+"""Explores two devices side by side, and finds where their answers differ.
 
 The product of their machines is searched breadth first, so that each difference has the shortest
 stimuli from power-on. What both texts leave to the device is no difference as long as one answer
@@ -12,15 +12,15 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.diff.machines import AL, BOTH, DRIVE, SDO, Seen, otherwise, owner
-from ecatspec.generators.case import Case, StopOutputs, WriteOutputs
-from ecatspec.generators.mutants import definitions_in
-from ecatspec.model.compared import Effect
-from ecatspec.model.compiled import rows_of
-from ecatspec.model.facts import Section
-from ecatspec.model.interpreter import rule_clauses
-from ecatspec.model.mealy import alike
-from ecatspec.model.once import once
-from ecatspec.model.values import Pattern, admits, compatible
+from ecatspec.generators.cases.case import Case, StopOutputs, WriteOutputs
+from ecatspec.generators.mutation.mutants import definitions_in
+from ecatspec.model.analysis.fact_diff import Effect
+from ecatspec.model.analysis.facts import Section
+from ecatspec.model.automata.mealy import alike
+from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.interpreter import rule_clauses
+from ecatspec.model.core.memo import once
+from ecatspec.model.core.values import Pattern, admits, compatible
 from ecatspec.spec.language.ir import Name
 from ecatspec.spec.language.scope import nodes_in
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from ecatspec.conformance.diff.machines import Explored, ObservedDevice
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.mealy import Word
-    from ecatspec.model.state import RuleName
-    from ecatspec.model.values import Value
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.automata.mealy import Word
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import RuleName
+    from ecatspec.model.core.values import Value
 
 SECTIONS = {AL: Section.AL, DRIVE: Section.DRIVE, BOTH: Section.DRIVE, SDO: Section.MAILBOX}
 _REQUESTS = ("request_", "acknowledge_")

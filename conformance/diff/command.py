@@ -1,4 +1,4 @@
-"""The only place for what the command `diff` does between its options and its output."""
+"""Runs the command `diff` between its options and its output."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.base.atomic_write import write_whole
+from ecatspec.conformance.base.devices import UserError
 from ecatspec.conformance.diff.comparison import compare, processors
 from ecatspec.conformance.diff.report import as_data, headline, markdown, sections_of, sheets
 from ecatspec.conformance.diff.subjects import subject
-from ecatspec.conformance.files import write_whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from ecatspec.conformance.sheets import Sheet
+    from ecatspec.conformance.render.tables import Sheet
 
 _MARKDOWN = "markdown"
 _TWO = 2

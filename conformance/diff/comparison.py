@@ -1,4 +1,4 @@
-"""The only place that compares two specifications as a whole: their facts, and what they do."""
+"""Compares two specifications as a whole: their facts and their behaviour."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.diff.behaviour import Sides, product
 from ecatspec.conformance.diff.machines import MACHINES, Explored, ObservedDevice, explored, setups
-from ecatspec.model.compared import compare_facts
-from ecatspec.model.compiled import Model
+from ecatspec.model.analysis.fact_diff import compare_facts
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.kept import kept
 from ecatspec.spec.language.load import load_standard
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from ecatspec.conformance.diff.behaviour import Behaviour
-    from ecatspec.model.compared import Difference, Misprint, Silence
-    from ecatspec.model.facts import Section
+    from ecatspec.model.analysis.fact_diff import Difference, Misprint, Silence
+    from ecatspec.model.analysis.facts import Section
     from ecatspec.spec.language.ir import Protocol
 
 

@@ -1,4 +1,4 @@
-"""The only place that gives two implementations the same stimuli and tells where they part."""
+"""Gives two implementations the same stimuli and finds where their answers differ."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.adapter import AdapterError
 from ecatspec.conformance.adapters import open_adapter
-from ecatspec.conformance.case_executor import CaseExecutor, limits_of
-from ecatspec.conformance.devices import UserError, load
-from ecatspec.conformance.sheets import Sheet
-from ecatspec.conformance.verdict import Outcome, TraceLine
-from ecatspec.generators.case import Limits
+from ecatspec.conformance.base.adapter import AdapterError
+from ecatspec.conformance.base.devices import UserError, load
+from ecatspec.conformance.base.verdict import Outcome, TraceLine
+from ecatspec.conformance.render.tables import Sheet
+from ecatspec.conformance.run.case_executor import CaseExecutor, limits_of
+from ecatspec.generators.cases.case import Limits
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.generators.case import Case
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.generators.cases.case import Case
 
 _COUNTER: Final = re.compile(r",? ?\bcounter \d+")
 """Devices count their messages as they like."""

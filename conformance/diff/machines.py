@@ -1,4 +1,4 @@
-"""The only place where a device becomes finite machines that say what the texts allow it to show.
+"""Explores what the texts allow a device to show, as finite machines.
 
 They are walked with the stimuli of the complete suites, but an output is a set: all that a
 MainDevice may see after an input, not only what the virtual SubDevice happens to take. With it
@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
-from ecatspec.generators.bringup import WATCHDOG, has_process_data, mailbox_settings, request
-from ecatspec.generators.case import (
+from ecatspec.generators.cases.bringup import WATCHDOG, has_process_data, mailbox_settings, request
+from ecatspec.generators.cases.case import (
     Happen,
     SetUpProcessData,
     StopOutputs,
@@ -28,22 +28,22 @@ from ecatspec.generators.complete.machines import (
     drive_setup,
     sdo_setup,
 )
-from ecatspec.generators.drive_cover import STATUS
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
-from ecatspec.model.interpreter import expected_fields, step
-from ecatspec.model.mealy import Mealy, minimise
-from ecatspec.model.process_image import INPUTS
-from ecatspec.model.shown import layout, shown_fields, shown_register
-from ecatspec.model.subdevice import Snapshot, VirtualSubDevice
-from ecatspec.model.values import Pattern, Unknown, Value, any_open
-from ecatspec.model.words import typed_words, value_words
+from ecatspec.generators.covers.drive_cover import STATUS
+from ecatspec.model.automata.mealy import Mealy, minimise
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.interpreter import expected_fields, step
+from ecatspec.model.core.observables import layout, shown_fields, shown_register
+from ecatspec.model.core.process_image import INPUTS
+from ecatspec.model.core.values import Pattern, Unknown, Value, any_open
+from ecatspec.model.core.wording import typed_words, value_words
+from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.esc.subdevice import Snapshot, VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Mapping, Sequence
 
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.state import Event, Output, RuleName, State, Step
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.core.state import Event, Output, RuleName, State, Step
     from ecatspec.spec.language.ir import Protocol
 
 AL, DRIVE, BOTH, SDO = "AL", "DS402", "AL x DS402", "SDO"

@@ -1,4 +1,4 @@
-"""The only place for a comparison as one page of HTML that needs nothing else."""
+"""Writes a comparison as one self-contained page of HTML."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from markupsafe import Markup
 from ecatspec.conformance.diff.report import headline, sheets
 from ecatspec.conformance.drawings.svg import drawing
 from ecatspec.conformance.pages import render
-from ecatspec.conformance.sheets import cell_words
+from ecatspec.conformance.render.tables import cell_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ecatspec.conformance.diff.behaviour import Behaviour
     from ecatspec.conformance.diff.comparison import Comparison
-    from ecatspec.conformance.sheets import Sheet
+    from ecatspec.conformance.render.tables import Sheet
 
 MARK: Final = "odd"
 """The CSS class of rules that decide about a difference."""

@@ -1,14 +1,14 @@
-"""The only place for what a comparison says: tables for a terminal, Markdown, and data for JSON."""
+"""Reports a comparison: tables for a terminal, Markdown, and data for JSON."""
 
 from __future__ import annotations
 
 from collections import Counter
 from typing import TYPE_CHECKING, TypeAlias
 
-from ecatspec.conformance.devices import nearest
-from ecatspec.conformance.sheets import Sheet, cell_words
-from ecatspec.model.compared import Effect
-from ecatspec.model.facts import TITLES, Section
+from ecatspec.conformance.base.devices import nearest
+from ecatspec.conformance.render.tables import Sheet, cell_words
+from ecatspec.model.analysis.fact_diff import Effect
+from ecatspec.model.analysis.facts import TITLES, Section
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Pair: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
 _FEW = 3
-"""So many clauses of a side are told with their places."""
+"""Maximum number of clauses of a side that are listed with their places."""
 _SOME = 4
-"""So many names stand for all that cannot be compared."""
+"""Maximum number of names listed of what cannot be compared."""
 METHOD = "product of all reachable pairs of states, exact"
 
 

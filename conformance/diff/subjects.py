@@ -1,4 +1,4 @@
-"""The only place that turns what a user wants compared into specifications, git revisions too."""
+"""Loads what a user wants to compare: specifications, also of git revisions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.devices import SUFFIX, UserError, load
+from ecatspec.conformance.base.devices import SUFFIX, UserError, load
 from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:

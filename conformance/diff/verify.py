@@ -1,4 +1,4 @@
-"""The only place where the witnesses of a comparison are replayed, and written as test vectors.
+"""Replays the witnesses of a comparison, and writes them as test vectors.
 
 They go through adapters and a session, as the cases of a run do, and not through the machines that
 they were found in: what a MainDevice reads then must be what the comparison says.
@@ -9,30 +9,30 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import going
+from ecatspec.conformance.base.devices import going
 from ecatspec.conformance.diff.machines import SDO
-from ecatspec.conformance.guard import Guarded
-from ecatspec.conformance.session import Deviation, InconclusiveError, Session
-from ecatspec.generators.drive_cover import STATUS
-from ecatspec.generators.token import to_data
-from ecatspec.model.compiled import Model
-from ecatspec.model.esc import field_of
+from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
+from ecatspec.generators.cases.case_codec import to_data
+from ecatspec.generators.covers.drive_cover import STATUS
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.observables import layout
+from ecatspec.model.core.process_image import INPUTS, taken
+from ecatspec.model.core.values import Pattern, admits, bits_of, ranges_of
+from ecatspec.model.esc.esc import field_of
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.model.process_image import INPUTS, taken
-from ecatspec.model.shown import layout
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import Pattern, admits, bits_of, ranges_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
     from ecatspec.conformance.diff.behaviour import Behaviour
     from ecatspec.conformance.diff.comparison import Comparison
     from ecatspec.conformance.diff.machines import Part
-    from ecatspec.generators.case import Case
-    from ecatspec.model.values import Value
+    from ecatspec.generators.cases.case import Case
+    from ecatspec.model.core.values import Value
     from ecatspec.spec.language.ir import Protocol
 
 _STATUS_BIT = "status bit "

@@ -1,4 +1,4 @@
-"""The only place for the table of drawings: the forms in which a machine is drawn.
+"""The table of drawings: the forms in which a machine can be drawn.
 
 A drawing is a file here with `drawing(protocol, machine) -> str` and a row in DRAWINGS. Same texts,
 same characters: nothing depends on time, chance or the order of a hash.

@@ -1,4 +1,4 @@
-"""The only place for a drawing as DOT text: for Graphviz, and tools that read its language."""
+"""Draws a machine as DOT text, for Graphviz and tools that read its language."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""The only place for what a drawing shows of a machine: arrows, and what goes to the legend."""
+"""Chooses what a drawing of a machine shows: its arrows, and its legend."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from ecatspec.conformance.devices import nearest
+from ecatspec.conformance.base.devices import nearest
 from ecatspec.spec.language.ir import Binary, Conditional, In, Literal, Name, Unary
 from ecatspec.spec.language.pretty import pretty_expression
 from ecatspec.spec.language.scope import (
@@ -35,10 +35,10 @@ ERRORS: Final = frozenset({"FAULT", "FAULT_REACTION_ACTIVE"})
 """States in which something has gone wrong: another colour."""
 
 NAMES: Final = 5
-"""So many rules are named at an arrow; of more than that the legend has the whole list."""
+"""Maximum number of rules named at an arrow; the legend lists the others."""
 
 _EXCEPTIONS: Final = 2
-"""`every state but ...` names so many at most."""
+"""Maximum number of names in `every state but ...`."""
 
 
 @dataclass(frozen=True, slots=True)

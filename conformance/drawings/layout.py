@@ -1,4 +1,4 @@
-"""The only place for where things stand in a drawing: boxes, labels, routes, without overlaps.
+"""Places the boxes, labels and routes of a drawing without overlaps.
 
 States stand in a column from top to bottom, those aside in a second one to its right. Between
 neighbours of a column an arrow goes straight. Any other leaves a state at its side, in a row of its

@@ -1,4 +1,4 @@
-"""The only place for a drawing as Mermaid text: what Markdown pages of many sites show."""
+"""Draws a machine as Mermaid text, for Markdown pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for a drawing that stands by itself: SVG without scripts, fonts or links."""
+"""Draws a machine as self-contained SVG, without scripts, fonts or links."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for pages of HTML: one file each that needs nothing else, in one style."""
+"""Fills pages of HTML: one self-contained file each, in one style."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from importlib import resources
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 
-from ecatspec.conformance.marks import plain
+from ecatspec.conformance.render.marks import plain
 
 
 def render(template: str, **values: object) -> str:

@@ -1,4 +1,4 @@
-"""The only place for what pytest sees of ecatspec: options, markers and fixtures.
+"""The pytest plugin: its options, markers and fixtures.
 
     pytest --ecat-device kollmorgen-akd --ecat-dut exec:./slave
 
@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Final
 import pytest
 
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
-from ecatspec.generators.depths import DEPTHS
+from ecatspec.generators.cases.depths import DEPTHS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.conformance.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter
     from ecatspec.conformance.pytest_plugin.session import EcatSession
     from ecatspec.conformance.pytest_plugin.suite import Suite
 

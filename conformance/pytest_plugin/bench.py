@@ -1,4 +1,4 @@
-"""The only place for the device that a pytest process has open, and for the parts of its suite."""
+"""Keeps the device that a pytest process has open, and the parts of its suite."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from functools import partial
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance import known
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
-from ecatspec.conformance.case_executor import limits_of
-from ecatspec.conformance.devices import UserError, going, load, nearest
-from ecatspec.conformance.dut_knowledge import SHAPE
-from ecatspec.conformance.exercise import Exercise
+from ecatspec.conformance.base.devices import UserError, going, load, nearest
+from ecatspec.conformance.base.verdict import Result
 from ecatspec.conformance.reports.text import explained
-from ecatspec.conformance.runner import EXAMPLES, WALKS, Runner
-from ecatspec.conformance.verdict import Result
+from ecatspec.conformance.results import known_deviations
+from ecatspec.conformance.run.case_executor import limits_of
+from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import EXAMPLES, WALKS, Runner
+from ecatspec.conformance.traceability.case_footprint import Exercise
 from ecatspec.generators.suite import all_cases
-from ecatspec.model.compiled import Model
+from ecatspec.model.core.compilation import Model
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.conformance.verdict import Finding, Verdict
-    from ecatspec.generators.case import Case
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.conformance.base.verdict import Finding, Verdict
+    from ecatspec.generators.cases.case import Case
 
 RANDOM: Final = "random"
 COMPLETE: Final = "complete"
@@ -98,7 +98,7 @@ class Bench:
             raise nearest("layer", name, tuple(protocol.machines))
         if wanted.depth == "exhaustive" and find_spec("z3") is None:
             raise UserError("exhaustive needs the package z3-solver; install ecatspec[prove]")
-        accepted = known.of(wanted.known, protocol.name).reasons
+        accepted = known_deviations.of(wanted.known, protocol.name).reasons
         self.adapter = open_adapter(
             wanted.dut, wanted.device, mailbox=wanted.mailbox, hang_timeout=wanted.hang_timeout
         )

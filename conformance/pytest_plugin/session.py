@@ -1,4 +1,4 @@
-"""The only place for the session that users give stimuli to in tests of their own."""
+"""The session to which users give stimuli in tests of their own."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from ecatspec.conformance.adapter import AdapterError, DeviceFault
-from ecatspec.conformance.case_executor import limits_of
+from ecatspec.conformance.base.adapter import AdapterError, DeviceFault
+from ecatspec.conformance.base.verdict import Finding, Outcome
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
-from ecatspec.conformance.session import Deviation, InconclusiveError
-from ecatspec.conformance.verdict import Finding, Outcome
-from ecatspec.generators.bringup import way_to
-from ecatspec.generators.case import Case, SendSegments, Stimulus
-from ecatspec.generators.token import token_of
-from ecatspec.generators.transfers import upload
+from ecatspec.conformance.run.case_executor import limits_of
+from ecatspec.conformance.run.session import Deviation, InconclusiveError
+from ecatspec.generators.cases.bringup import way_to
+from ecatspec.generators.cases.case import Case, SendSegments, Stimulus
+from ecatspec.generators.cases.case_codec import token_of
+from ecatspec.generators.cases.transfers import upload
 
 if TYPE_CHECKING:
+    from ecatspec.conformance.base.verdict import Verdict
     from ecatspec.conformance.pytest_plugin.bench import Bench
-    from ecatspec.conformance.verdict import Verdict
-    from ecatspec.generators.case import Limits
-    from ecatspec.model.compiled import Model
+    from ecatspec.generators.cases.case import Limits
+    from ecatspec.model.core.compilation import Model
 
 
 class EcatSession:
@@ -79,7 +79,7 @@ class EcatSession:
     def end(self) -> None:
         """Say where an accident of the device takes the worth from what was seen."""
         if surprises := self._executor.session.oracle.known.surprises():
-            told = f"{' or '.join(surprises)} befell the device while it was tested"
+            told = f"{' or '.join(surprises)} happened in the device while it was tested"
             warnings.warn(EcatWarning(f"inconclusive: {told}"), stacklevel=2)
 
     def _tell(self, error: Deviation | InconclusiveError | DeviceFault | AdapterError) -> None:

@@ -1,4 +1,4 @@
-"""The only place where the suite of a device becomes tests of pytest."""
+"""Makes tests of pytest from the suite of a device."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 import pytest
 from _pytest._code.code import ExceptionRepr  # pytest gives it no public name
 
-from ecatspec.conformance.adapter import AdapterError
-from ecatspec.conformance.devices import UserError
+from ecatspec.conformance.base.adapter import AdapterError
+from ecatspec.conformance.base.devices import UserError
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.base.version import version
 from ecatspec.conformance.pytest_plugin.bench import Bench, Wanted
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.conformance.version import version
 from ecatspec.spec.language.diagnostics import SpecError
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from _pytest._code.code import TerminalRepr, TracebackStyle
 
+    from ecatspec.conformance.base.verdict import Verdict
     from ecatspec.conformance.pytest_plugin.bench import Part
-    from ecatspec.conformance.verdict import Verdict
 
 MARKER: Final = "ecat"
 """The marker of every test of the suite."""

@@ -1,4 +1,4 @@
-"""The only place for the warning that a device breaks a `should`."""
+"""The warning that a device breaks a `should`."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The only place for the table of reports: the forms in which results can be read.
+"""The table of reports: the forms in which results can be read.
 
 A report is a file here with `report(results, protocol) -> str` and a row in REPORTS.
 """
@@ -10,12 +10,12 @@ from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
-from ecatspec.conformance.verdict import CAUSED, Outcome
+from ecatspec.conformance.base.verdict import CAUSED, Outcome
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from ecatspec.conformance.verdict import Result
+    from ecatspec.conformance.base.verdict import Result
     from ecatspec.spec.language.ir import Protocol
 
     Report = Callable[[Sequence[Result], Protocol], str]

@@ -1,18 +1,18 @@
-"""The only place for findings as annotations of GitHub: a line each, shown beside the log."""
+"""Reports findings as annotations of GitHub, one line each."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.annotations import annotation
-from ecatspec.conformance.marks import kinds, needs, plural
-from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.render.annotations import annotation
+from ecatspec.conformance.render.marks import kinds, needs, plural
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ecatspec.conformance.annotations import Kind
-    from ecatspec.conformance.verdict import Finding, Result
+    from ecatspec.conformance.base.verdict import Finding, Result
+    from ecatspec.conformance.render.annotations import Kind
     from ecatspec.spec.language.ir import Protocol
 
 _MOST: Final = 50

@@ -1,4 +1,4 @@
-"""The only place for the report as one page of HTML that needs nothing else."""
+"""Reports a run as one self-contained page of HTML."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from markupsafe import Markup
 
-from ecatspec.conformance.coverage import Shown, coverage
+from ecatspec.conformance.base.verdict import BLAMING, Conclusion, Outcome, Way
+from ecatspec.conformance.base.version import version
 from ecatspec.conformance.drawings.graph import rule_words, states_place, states_words
 from ecatspec.conformance.drawings.svg import drawing
-from ecatspec.conformance.marks import interruption, kinds, needs, parts, plural
 from ecatspec.conformance.pages import render
-from ecatspec.conformance.reached import Mark, lacking, reached
+from ecatspec.conformance.render.marks import interruption, kinds, needs, parts, plural
 from ecatspec.conformance.reports import judged, risks
-from ecatspec.conformance.verdict import BLAMING, Conclusion, Outcome, Way
-from ecatspec.conformance.version import version
-from ecatspec.generators.families import NOTES
-from ecatspec.model.compiled import Model
-from ecatspec.model.words import bytes_words, value_words
+from ecatspec.conformance.run.coverage import Shown, coverage
+from ecatspec.conformance.run.machine_coverage import Mark, lacking, reached
+from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.wording import bytes_words, value_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from ecatspec.conformance.reached import Reached
-    from ecatspec.conformance.verdict import Finding, Result, TraceLine, Verdict
+    from ecatspec.conformance.base.verdict import Finding, Result, TraceLine, Verdict
+    from ecatspec.conformance.run.machine_coverage import Reached
     from ecatspec.spec.language.ir import Protocol
 
 View: TypeAlias = "dict[str, object]"

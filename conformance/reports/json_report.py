@@ -1,4 +1,4 @@
-"""The only place for a report that machines read: stable JSON, the same for the same results.
+"""Reports a run as stable JSON: the same results give the same bytes.
 
 The types are the format: the report is made with them, and the JSON Schema is made from them.
 """
@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from ecatspec.conformance.base.verdict import Conclusion, Outcome
 from ecatspec.conformance.reports import judged, risks
-from ecatspec.conformance.verdict import Conclusion, Outcome
 from ecatspec.spec.language.ir import Level  # noqa: TC001  msgspec reads the annotations
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ecatspec.conformance.verdict import Finding, Result, Verdict
+    from ecatspec.conformance.base.verdict import Finding, Result, Verdict
     from ecatspec.spec.language.ir import Protocol
 
 SCHEMA: Final = "ecatspec.report"

@@ -1,4 +1,4 @@
-"""The only place for a report that build servers read: JUnit XML, one test for each clause.
+"""Reports a run as JUnit XML, one test for each clause.
 
 Names of tests are ids of clauses, so they stay the same from run to run. Clauses that the device
 cannot reach by its own text have no test. The file stays small
@@ -11,17 +11,17 @@ import re
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.conformance.coverage import Covered, Shown, coverage
-from ecatspec.conformance.marks import interruption, kinds, needs, plain, plural
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.base.version import version
+from ecatspec.conformance.render.marks import interruption, kinds, needs, plain, plural
 from ecatspec.conformance.reports import judged
-from ecatspec.conformance.verdict import BLAMING, Outcome
-from ecatspec.conformance.version import version
+from ecatspec.conformance.run.coverage import Covered, Shown, coverage
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from ecatspec.conformance.verdict import Finding, Result
+    from ecatspec.conformance.base.verdict import Finding, Result
     from ecatspec.spec.language.ir import Protocol
 
 WHOLE: Final = "run"

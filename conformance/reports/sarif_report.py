@@ -1,4 +1,4 @@
-"""The only place for a report as SARIF: one result for each finding, its rule the broken clause.
+"""Reports a run as SARIF: one result for each finding, whose rule is the broken clause.
 
 A result lies where the text of the device states the clause, if that is a file of the user; else it
 names the case only.
@@ -9,14 +9,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.marks import kinds, needs
-from ecatspec.conformance.sarif import log, place
-from ecatspec.conformance.verdict import BLAMING, Outcome
+from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.render.marks import kinds, needs
+from ecatspec.conformance.render.sarif import log, place
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from ecatspec.conformance.verdict import Finding, Result
+    from ecatspec.conformance.base.verdict import Finding, Result
     from ecatspec.spec.language.ir import Protocol
 
 _NO_CLAUSE: Final = "run"

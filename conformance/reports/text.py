@@ -1,20 +1,20 @@
-"""The only place for a report that people read: the summary first, then each finding once."""
+"""Reports a run for people: the summary first, then each finding once."""
 
 from __future__ import annotations
 
 import textwrap
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.conformance.marks import interruption, kinds, needs, parts, plain, plural
+from ecatspec.conformance.base.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
+from ecatspec.conformance.render.marks import interruption, kinds, needs, parts, plain, plural
 from ecatspec.conformance.reports import judged, risks
-from ecatspec.conformance.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
-from ecatspec.generators.families import NOTES
-from ecatspec.model.words import bytes_words
+from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.model.core.wording import bytes_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from ecatspec.conformance.verdict import Finding, Result, Verdict
+    from ecatspec.conformance.base.verdict import Finding, Result, Verdict
     from ecatspec.spec.language.ir import Protocol
 
 WIDTH: Final = 80

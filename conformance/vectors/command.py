@@ -1,4 +1,4 @@
-"""The only place where a vector file is played to its end, and its verdicts are collected."""
+"""Plays a vector file to its end and collects the verdicts."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.adapters import FACTORIES, HANG_TIMEOUT, open_adapter
-from ecatspec.conformance.devices import UserError, load
+from ecatspec.conformance.base.devices import UserError, load
+from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
 from ecatspec.conformance.vectors.files import Reading, opened
 from ecatspec.conformance.vectors.replay import Player
-from ecatspec.conformance.verdict import Outcome, Result, Verdict
-from ecatspec.generators.families import NOTES
-from ecatspec.generators.words_of import words_of
+from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.generators.vectors.symbols import words_of
 from ecatspec.spec.language.ir import Clause, Level, Pin, Protocol
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.conformance.runner import Progress
-    from ecatspec.generators.vectors import Guarantee, Head, Test
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.conformance.run.runner import Progress
+    from ecatspec.generators.vectors.schema import Guarantee, Head, Test
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""The only place where the suite of a device becomes a stream of test vectors and their head."""
+"""Exports the suite of a device as a head and a stream of test vectors."""
 
 from __future__ import annotations
 
@@ -9,15 +9,23 @@ from typing import TYPE_CHECKING, Final
 import msgspec
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
-from ecatspec.conformance.devices import TRUTHS, UserError, assuming, going, load, nearest, pinned
-from ecatspec.conformance.dut_knowledge import SHAPE, shape_of
-from ecatspec.conformance.runner import WALK, WALKS
-from ecatspec.conformance.session import Deviation, InconclusiveError
+from ecatspec.conformance.base.devices import (
+    TRUTHS,
+    UserError,
+    assuming,
+    going,
+    load,
+    nearest,
+    pinned,
+)
+from ecatspec.conformance.base.version import version
+from ecatspec.conformance.run.dut_knowledge import SHAPE, shape_of
+from ecatspec.conformance.run.runner import WALK, WALKS
+from ecatspec.conformance.run.session import Deviation, InconclusiveError
 from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
-from ecatspec.conformance.version import version
-from ecatspec.generators.assignment import at_power_on, read_configuration
-from ecatspec.generators.bringup import has_process_data, way_to
-from ecatspec.generators.case import (
+from ecatspec.generators.cases.assignment import at_power_on, read_configuration
+from ecatspec.generators.cases.bringup import has_process_data, way_to
+from ecatspec.generators.cases.case import (
     NO_LIMITS,
     Case,
     Happen,
@@ -26,12 +34,13 @@ from ecatspec.generators.case import (
     SetUpProcessData,
     WriteOutputs,
 )
-from ecatspec.generators.families import NOTES
-from ecatspec.generators.finite_cover import complete_suites
+from ecatspec.generators.cases.play import play
+from ecatspec.generators.covers.finite_cover import complete_suites
 from ecatspec.generators.formats import FORMATS
-from ecatspec.generators.play import play
+from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.generators.random.walks import walk
 from ecatspec.generators.suite import all_cases
-from ecatspec.generators.vectors import (
+from ecatspec.generators.vectors.schema import (
     CONFIGURATION,
     SCHEMA,
     SCHEMA_VERSION,
@@ -47,22 +56,21 @@ from ecatspec.generators.vectors import (
     Spec,
     Test,
 )
-from ecatspec.generators.walks import walk
-from ecatspec.model.compiled import MAILBOX, Model, rows_of
-from ecatspec.model.esc import AREAS, SYNC_MANAGERS, field_mask
-from ecatspec.model.forms import message_forms
-from ecatspec.model.interpreter import step
+from ecatspec.model.core.byte_masks import message_forms
+from ecatspec.model.core.compilation import MAILBOX, Model, rows_of
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS, field_mask
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.model.subdevice import VirtualSubDevice
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from typing import IO
 
-    from ecatspec.conformance.runner import Progress
-    from ecatspec.generators.finite_cover import Complete
-    from ecatspec.generators.vectors import Step
-    from ecatspec.model.values import ObjectKey
+    from ecatspec.conformance.run.runner import Progress
+    from ecatspec.generators.covers.finite_cover import Complete
+    from ecatspec.generators.vectors.schema import Step
+    from ecatspec.model.core.values import ObjectKey
     from ecatspec.spec.language.ir import Protocol
 
 _BYTE: Final = 8
@@ -76,7 +84,7 @@ Each test begins with a power cycle. A step: do `in`, let `us` of the device's t
 `cycle` while it does), then look for all that `expect` says, in order.
 Bytes are right when they equal a `value` wherever its `mask` has a bit. `passes`: go on. `ends`:
 the device went another way that is allowed; the test ends, and counts as passed.
-Nothing befalls the device that no step raises: where power or synchronisation may fail on the
+Nothing happens in the device that no step raises: where power or synchronisation may fail on the
 bench, a failure has to be looked at with that in mind.
 docs/vectors.md of ecatspec says it all, glossary first.
 """

@@ -1,4 +1,4 @@
-"""The only place where vector files are read: a test at a time, in bounded memory, or one line."""
+"""Reads vector files a test at a time, in bounded memory."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, NoReturn, TypeVar
 import ijson
 import msgspec
 
-from ecatspec.conformance.devices import UserError
-from ecatspec.generators.vectors import SCHEMA, SCHEMA_VERSION, Head, Name, Test
+from ecatspec.conformance.base.devices import UserError
+from ecatspec.generators.vectors.schema import SCHEMA, SCHEMA_VERSION, Head, Name, Test
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
         """What bytes are read from."""
 
         def read(self, size: int, /) -> bytes:
-            """Give at most so many bytes; none: there are no more."""
+            """Give at most a number of bytes; none at the end."""
             ...
 
         def seek(self, offset: int, /) -> object:
@@ -50,7 +50,7 @@ _GROUPS: Final = "testGroups"
 _HEAD: Final = frozenset(field.encode_name for field in msgspec.structs.fields(Head))
 _REMEDY: Final = "docs/vectors.md has the format; correct the file or export it again"
 _BROKEN: Final = (ijson.JSONError, ValueError, ArithmeticError, SystemError)
-"""What parsers raise: the last for a number with so many digits that Python refuses it."""
+"""What parsers raise: the last for a number with more digits than Python accepts."""
 _WHERE: Final = re.compile(r"(?s)(.*?)(?: - at (`key` in )?`\$(.*)`)?")
 
 

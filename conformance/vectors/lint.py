@@ -1,4 +1,4 @@
-"""The only place where a vector file is checked beyond its shape: what its parts say of each other.
+"""Checks a vector file beyond its schema: whether its parts agree with each other.
 
 A file that cannot be read is refused by the reader; all else is listed.
 """
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final, assert_never, cast
 
 from ecatspec.conformance.vectors.files import Reading, opened
 from ecatspec.generators.formats.json_format import write
-from ecatspec.generators.vectors import CONFIGURATION, Full, Local, Mail, Read, Send, Write
-from ecatspec.model.compiled import Model
+from ecatspec.generators.vectors.schema import CONFIGURATION, Full, Local, Mail, Read, Send, Write
+from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_standard
 
 if TYPE_CHECKING:
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import IO, BinaryIO
 
-    from ecatspec.conformance.runner import Progress
+    from ecatspec.conformance.run.runner import Progress
     from ecatspec.conformance.vectors.files import WrongError
-    from ecatspec.generators.vectors import Allowed, Area, Expected, Head, Input, Step, Test
+    from ecatspec.generators.vectors.schema import Allowed, Area, Expected, Head, Input, Step, Test
 
 MOST_SHOWN: Final = 100
 _SHOWN: Final = 40

@@ -1,4 +1,4 @@
-"""The only place where a case becomes a test vector: played on the virtual SubDevice, and recorded.
+"""Records a case as a test vector, played on the virtual SubDevice.
 
 The oracle follows. What it would allow at each look, whatever way a device goes, becomes the
 expectation; where another way leads to other states than the recorded one, the test ends there as
@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
-from ecatspec.conformance.session import AL, NOTHING, Session
-from ecatspec.generators.case import Happen
-from ecatspec.generators.vectors import (
+from ecatspec.conformance.run.session import AL, NOTHING, Session
+from ecatspec.generators.cases.case import Happen
+from ecatspec.generators.vectors.schema import (
     Allowed,
     Cycle,
     Full,
@@ -26,28 +26,28 @@ from ecatspec.generators.vectors import (
     Step,
     Write,
 )
-from ecatspec.model.cache import Cache
-from ecatspec.model.candidates import Exchange
-from ecatspec.model.compiled import MAILBOX
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
-from ecatspec.model.forms import Form, input_form, message_forms, register_forms
+from ecatspec.model.core.byte_masks import Form, input_form, message_forms, register_forms
+from ecatspec.model.core.cache import Cache
+from ecatspec.model.core.compilation import MAILBOX
+from ecatspec.model.core.observables import decided, process_area
+from ecatspec.model.core.values import bits_of
+from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.oracle.expansion import is_idle, may_hold_anything
+from ecatspec.model.oracle.explanations import Exchange
 from ecatspec.model.oracle.reads import surprised
-from ecatspec.model.serving import is_idle, may_hold_anything
-from ecatspec.model.shown import decided, process_area
-from ecatspec.model.values import bits_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from ecatspec.conformance.adapter import Adapter
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.generators.vectors import Effect, Expected, Input
-    from ecatspec.model.candidates import Candidate
-    from ecatspec.model.compiled import Model
+    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.generators.vectors.schema import Effect, Expected, Input
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import RuleName
+    from ecatspec.model.core.values import ObjectKey
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate
     from ecatspec.model.oracle.oracle import Oracle
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import RuleName
-    from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Register
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
@@ -62,7 +62,7 @@ _LONGEST: Final = 3_600_000_000
 _ROUNDS: Final = 16
 """Maximum number of awaited changes in a row, where each one starts the wait for the next."""
 _TRIES: Final = 64
-"""So often it is waited and looked before a device counts as never coming to rest."""
+"""Maximum number of waits before a device counts as never coming to rest."""
 
 
 class RestlessError(Exception):

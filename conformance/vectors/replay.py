@@ -1,25 +1,25 @@
-"""The only place where test vectors are replayed on a device: nothing but the file is asked."""
+"""Replays test vectors on a device, without the texts."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, assert_never
 
-from ecatspec.conformance.adapter import (
+from ecatspec.conformance.base.adapter import (
     AdapterError,
     DeviceCrash,
     DeviceHang,
     DeviceRubbish,
     raise_local,
 )
-from ecatspec.conformance.verdict import Outcome, TraceLine, Verdict
-from ecatspec.generators.vectors import Full, Local, Mail, Read, Send, Write
+from ecatspec.conformance.base.verdict import Outcome, TraceLine, Verdict
+from ecatspec.generators.vectors.schema import Full, Local, Mail, Read, Send, Write
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from ecatspec.conformance.adapter import Adapter, Description
-    from ecatspec.generators.vectors import (
+    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.generators.vectors.schema import (
         Allowed,
         Area,
         Effect,
@@ -167,7 +167,7 @@ class Player:
             case Send():
                 self._send(given)
             case Local():
-                self._told("SubDevice", f"is befallen by {given.event}")
+                self._told("SubDevice", f"has the local event {given.event}")
                 raise_local(self.adapter, given.event)
             case _:
                 assert_never(given)

@@ -1,5 +1,5 @@
 /* What the thermostat offers. Both functions return an SDO abort code, 0 if all went well; without
- * data `write_object` only tells whether it would take so many bytes. */
+ * data `write_object` only says whether it would take that number of bytes. */
 #ifndef APPLICATION_H
 #define APPLICATION_H
 

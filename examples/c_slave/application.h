@@ -40,7 +40,7 @@ struct application {
 /* Power on, once the stack is. */
 void application_reset(struct slave *slave);
 
-/* Make something befall the drive, named as application_events has it. Returns 0 if it knows it. */
+/* Raise a local event in the drive, named as application_events has it. Returns 0 if it knows it. */
 int application_local(struct slave *slave, const char *event);
 extern const char *const application_events[];    /* ends with a null pointer */
 

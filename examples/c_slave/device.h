@@ -21,7 +21,7 @@ int device_write(struct device *device, uint16_t address, const uint8_t *data, s
 /* Let time pass. */
 void device_advance(struct device *device, uint32_t microseconds);
 
-/* Make something of application_events befall the device. Returns 0 if it knows the event. */
+/* Raise an event of application_events in the device. Returns 0 if it knows the event. */
 int device_local(struct device *device, const char *event);
 
 #endif

@@ -1,4 +1,4 @@
-// The only place for the line protocol of docs/adapters.md: one request, one reply, one line each.
+// The line protocol of docs/adapters.md: one request, one reply, one line each.
 
 import { spawn } from "node:child_process";
 import { Wrong } from "./vectors.mjs";

@@ -1,4 +1,4 @@
-// The only place where test vectors are played in JavaScript: from a file, on a program.
+// Plays test vectors in JavaScript: from a file, on a program.
 //
 //     node replay.mjs FILE PROGRAM [ARGUMENT...]
 //

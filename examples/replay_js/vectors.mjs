@@ -1,4 +1,4 @@
-// The only place where a file of test vectors is read: every key is known, and holds what
+// Reads a file of test vectors: every key is known, and holds what
 // docs/vectors.md says, so that nothing later has to doubt it.
 
 import { readFileSync } from "node:fs";

@@ -1,1 +1,1 @@
-"""The only place for complete test suites of finite machines, and for what they are worth."""
+"""Complete test suites of finite machines, and the proof of what they promise."""

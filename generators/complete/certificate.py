@@ -1,4 +1,4 @@
-"""The only place where a suite is proved complete, or a machine found that it misses.
+"""Proves a suite complete, or finds a machine that it misses.
 
 An implementation that passes a suite answers its tree of words as the machine does. So the tree
 can be folded into the implementation: nodes that lead to one state are one. All ways to fold the
@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ecatspec.generators.complete.counterexample_search import ExhaustedError, Search
 from ecatspec.generators.complete.faults import kills, mutant
-from ecatspec.generators.complete.folds import ExhaustedError, Search
 from ecatspec.generators.complete.sufficient import sufficient
 from ecatspec.generators.complete.suites import Checked
-from ecatspec.model.mealy import Mealy, equivalent, minimise
+from ecatspec.model.automata.mealy import Mealy, equivalent, minimise
 
 if TYPE_CHECKING:
     from ecatspec.generators.complete.suites import Suite

@@ -1,4 +1,4 @@
-"""The only place for complete suites with few resets: tests that go on as long as they can (CHAIN).
+"""Complete suites with few resets: tests that go on as long as they can (CHAIN).
 
 A reset of a real device costs more than an input. So a test does not end after a transition and
 the words that identify its target: where it is known which state an implementation must be in, the
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.complete.separate import (
+from ecatspec.generators.complete.characterisation_sets import (
     Identifiers,
     extended,
     identifiers,
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ecatspec.generators.complete.trie import Branches
-    from ecatspec.model.mealy import Mealy, Word
+    from ecatspec.model.automata.mealy import Mealy, Word
 
 RESET = 5
 """What a reset costs, in inputs, where nobody says."""
 _LOOKED_AT = 2
-"""So many tests that could go on are looked at; the one with the nearest work goes on."""
+"""Maximum number of tests among which the one with the nearest work goes on."""
 _CHOSEN = 20_000
-"""In machines of so many transitions the next one is chosen; in larger ones that takes too long."""
+"""Maximum number of transitions of a machine whose order is chosen; more take too long."""
 
 
 def chain_suite(

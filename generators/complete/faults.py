@@ -1,4 +1,4 @@
-"""The only place for single faults of a finite machine, and for which of them a suite kills.
+"""Single faults of a finite machine, and which of them a suite kills.
 
 An output fault gives another output at one transition, a transfer fault leads elsewhere. A suite
 kills a fault when some test of it is answered otherwise. Faults are not run one by one: all tests
@@ -11,13 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ecatspec.model.mealy import blocks, equivalent, state_cover
+from ecatspec.model.automata.mealy import blocks, equivalent, state_cover
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ecatspec.generators.complete.trie import Trie
-    from ecatspec.model.mealy import Mealy
+    from ecatspec.model.automata.mealy import Mealy
 
 
 @dataclass(frozen=True, slots=True)

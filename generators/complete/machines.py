@@ -1,4 +1,4 @@
-"""The only place where a device of the texts becomes finite machines: AL, drive, SDO server.
+"""Makes finite machines of a device's texts: AL, drive, SDO server.
 
 The virtual SubDevice is driven with the stimuli that cases are made of, and looked at as a
 MainDevice does. Choices that the texts leave open go as it goes, or as given. What the machines do
@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.bringup import has_process_data, request, way_to
-from ecatspec.generators.case import Happen, SendFrame, StopOutputs, WriteOutputs
-from ecatspec.generators.drive_cover import CONTROL, STATUS, commands, is_driven
-from ecatspec.generators.mailbox_cover import probe_entry
-from ecatspec.generators.play import exchange, play
-from ecatspec.generators.process_data import image_size
-from ecatspec.generators.sdo_cover import is_written
-from ecatspec.generators.transfers import (
+from ecatspec.generators.cases.bringup import has_process_data, request, way_to
+from ecatspec.generators.cases.case import Happen, SendFrame, StopOutputs, WriteOutputs
+from ecatspec.generators.cases.play import exchange, play
+from ecatspec.generators.cases.process_data import image_size
+from ecatspec.generators.cases.transfers import (
     abort,
     download,
     expedited_size,
@@ -27,23 +24,26 @@ from ecatspec.generators.transfers import (
     upload,
     upload_segment,
 )
-from ecatspec.generators.transition_cover import symbols
-from ecatspec.model.dictionary import encode_value, size_of, size_varies
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
-from ecatspec.model.evaluate import Environment
-from ecatspec.model.finite import explore
-from ecatspec.model.mealy import minimise
-from ecatspec.model.process_image import INPUTS, taken
-from ecatspec.model.subdevice import VirtualSubDevice
-from ecatspec.model.values import bits_of
+from ecatspec.generators.covers.drive_cover import CONTROL, STATUS, commands, is_driven
+from ecatspec.generators.covers.mailbox_cover import probe_entry
+from ecatspec.generators.covers.sdo_cover import is_written
+from ecatspec.generators.covers.transition_cover import symbols
+from ecatspec.model.automata.exploration import explore
+from ecatspec.model.automata.mealy import minimise
+from ecatspec.model.core.expressions import Environment
+from ecatspec.model.core.object_dictionary import encode_value, size_of, size_varies
+from ecatspec.model.core.process_image import INPUTS, taken
+from ecatspec.model.core.values import bits_of
+from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 
-    from ecatspec.generators.case import Stimulus
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.mealy import Mealy
+    from ecatspec.generators.cases.case import Stimulus
+    from ecatspec.model.automata.mealy import Mealy
+    from ecatspec.model.core.compilation import Model
     from ecatspec.spec.language.ir import ObjectEntry
 
 Alphabet = dict[str, tuple["Stimulus", ...]]
@@ -269,7 +269,7 @@ def drive_machine(
 ) -> Abstraction | None:
     """Give the drive state machine of CiA 402 in OP; None: the device has none in process data.
 
-    Inputs: the control words of the commands, and those of `events` that may befall the drive.
+    Inputs: the control words of the commands, and those of `events` that may happen in the drive.
     Outputs: the bits of the status word that tell the state, and AL Status.
     """
     setup = drive_setup(model, events)

@@ -1,4 +1,4 @@
-"""The only place for a condition on tests from which completeness follows.
+"""A condition on tests from which completeness follows.
 
 Nothing is tried here: the condition is read off the tree of the tests (apartness of all nodes near
 the basis, after Vaandrager and Melse, k-A-completeness; or nodes that must be one state, as in the
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.generators.complete.separate import (
+from ecatspec.generators.complete.characterisation_sets import (
     extended,
     identifiers,
     path_words,
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ecatspec.generators.complete.trie import Trie
-    from ecatspec.model.mealy import Mealy, Word
+    from ecatspec.model.automata.mealy import Mealy, Word
 
 
 def sufficient(machine: Mealy, tests: Trie, k: int) -> bool:

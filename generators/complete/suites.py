@@ -1,4 +1,4 @@
-"""The only place for complete test suites without chaining: covers, W, Wp and HSI.
+"""Complete test suites without chaining: covers, W, Wp and HSI.
 
 A suite is planned, not written out: ways into the machine, and under each the words that belong to
 the state it leads to. So a suite of millions of tests can be counted and given word by word.
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.generators.complete.separate import (
+from ecatspec.generators.complete.characterisation_sets import (
     Identifiers,
     characterising_set,
     identifiers,
@@ -18,12 +18,12 @@ from ecatspec.generators.complete.separate import (
     splitting_tree,
 )
 from ecatspec.generators.complete.trie import Builder, Trie, graft, trie_of
-from ecatspec.model.mealy import state_cover
+from ecatspec.model.automata.mealy import state_cover
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from ecatspec.model.mealy import Mealy, Word
+    from ecatspec.model.automata.mealy import Mealy, Word
 
 
 class Checked(StrEnum):

@@ -1,4 +1,4 @@
-"""The only place for sets of words that share their prefixes: two flat lists, one entry a node."""
+"""Sets of words that share their prefixes: two flat lists, one entry for each node."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from ecatspec.model.mealy import Mealy, Word
+    from ecatspec.model.automata.mealy import Mealy, Word
 
 Branches: TypeAlias = "dict[int, Branches] | int"
 """Words as dictionaries by input, one in the other; at the end of each word its number."""

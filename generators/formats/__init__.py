@@ -1,4 +1,4 @@
-"""The only place for the table of formats: how test vectors are written.
+"""The table of formats in which test vectors are written.
 
 A format is a file here with `write(head, tests, out)` and a row in FORMATS.
 """
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from typing import IO
 
-    from ecatspec.generators.vectors import Head, Test
+    from ecatspec.generators.vectors.schema import Head, Test
 
     Writer = Callable[[Head, Iterable[tuple[str, Test]], IO[bytes]], None]
 

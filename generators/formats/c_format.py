@@ -1,4 +1,4 @@
-"""The only place where test vectors become a C header: tables without repetition, and a runner."""
+"""Writes test vectors as a C header: tables without repetition, and a runner."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from importlib import resources
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.generators.vectors import Full, Local, Mail, Read, Send, Write
+from ecatspec.generators.vectors.schema import Full, Local, Mail, Read, Send, Write
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from typing import IO
 
-    from ecatspec.generators.vectors import Allowed, Area, Effect, Expected, Head, Step, Test
+    from ecatspec.generators.vectors.schema import Allowed, Area, Effect, Expected, Head, Step, Test
 
 _TABLES: Final = "@TABLES@\n"
 _PER_LINE: Final = 20

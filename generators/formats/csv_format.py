@@ -1,4 +1,4 @@
-"""The only place where test vectors become a table: a row for each thing that is expected."""
+"""Writes test vectors as a table, with a row for each expectation."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import csv
 import io
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.generators.vectors import Full, Local, Mail, Read, Send, Write
+from ecatspec.generators.vectors.schema import Full, Local, Mail, Read, Send, Write
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from typing import IO
 
-    from ecatspec.generators.vectors import Allowed, Expected, Head, Input, Step, Test
+    from ecatspec.generators.vectors.schema import Allowed, Expected, Head, Input, Step, Test
 
     Row = Mapping[str, str | int]
 

@@ -1,4 +1,4 @@
-"""The only place where test vectors become JSON: canonical, a test a line, written as they come."""
+"""Writes test vectors as canonical JSON, one test a line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import IO
 
-    from ecatspec.generators.vectors import Head, Test
+    from ecatspec.generators.vectors.schema import Head, Test
 
 
 def write(head: Head, tests: Iterable[tuple[str, Test]], out: IO[bytes]) -> None:

@@ -1,4 +1,4 @@
-"""The only place where test vectors become a document: everything in words, for people."""
+"""Writes test vectors as a document for people."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.generators.vectors import Full, Local, Mail, Read, Send, Write
-from ecatspec.generators.words_of import words_of
+from ecatspec.generators.vectors.schema import Full, Local, Mail, Read, Send, Write
+from ecatspec.generators.vectors.symbols import words_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from typing import IO
 
-    from ecatspec.generators.vectors import Effect, Expected, Head, Input, Step, Test
-    from ecatspec.generators.words_of import Words
+    from ecatspec.generators.vectors.schema import Effect, Expected, Head, Input, Step, Test
+    from ecatspec.generators.vectors.symbols import Words
 
 _HOW_TO_READ: Final = """\
 - **after** a time: look when it has passed; **within** a time: look again and again, and go on as

@@ -1,4 +1,4 @@
-"""The only place where test vectors become a capture: what would be seen on the wire, explained.
+"""Writes test vectors as a capture, with comments: what would be seen on the wire.
 
 Each access is a request and its answer. Where a test allows several answers there is the first
 with which it goes on; bits that may be anything are 0.
@@ -11,16 +11,24 @@ from typing import TYPE_CHECKING, Final, assert_never
 
 import dpkt.pcapng
 
-from ecatspec.generators.vectors import Full, Local, Mail, Read, Send, Write
-from ecatspec.generators.words_of import words_of
-from ecatspec.model.wire import COMMANDS, Datagram, Wire, wire_format
+from ecatspec.generators.vectors.schema import Full, Local, Mail, Read, Send, Write
+from ecatspec.generators.vectors.symbols import words_of
+from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, wire_format
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import IO
 
-    from ecatspec.generators.vectors import Allowed, Effect, Expected, Head, Input, Step, Test
-    from ecatspec.generators.words_of import Words
+    from ecatspec.generators.vectors.schema import (
+        Allowed,
+        Effect,
+        Expected,
+        Head,
+        Input,
+        Step,
+        Test,
+    )
+    from ecatspec.generators.vectors.symbols import Words
 
 STATION_ADDRESS: Final = 0x1001
 """Of the SubDevice: any would do."""
@@ -79,7 +87,7 @@ class _Tape:
     """What the next packet is to say besides."""
     _wire: Wire = field(init=False)
     _largest: int = field(init=False)
-    """So many bytes fit into a datagram."""
+    """Maximum number of bytes in a datagram."""
     _outer: frozenset[str | None] = field(init=False)
     """Layouts with others inside."""
 
@@ -146,7 +154,7 @@ class _Tape:
                 said = f"sends {self.words.say(symbol, data)}"
                 self._access(place, _WRITES, _Answer(address, whole, 1, said))
             case Local(event):
-                said = f"{place}: {event} befalls the device"
+                said = f"{place}: local event {event} in the device"
                 self._packet(said, self._datagram(_NOTHING, _Answer(0, b"", 0), 0))
             case _:
                 assert_never(given)

@@ -1,1 +1,1 @@
-"""Judging: which states explain all that was exchanged with a device so far."""
+"""Judges what was exchanged with a device, by the explanations that remain."""

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.citations import object_name
-from ecatspec.model.esc import field_of
+from ecatspec.model.analysis.citations import object_name
+from ecatspec.model.core.observables import advised
+from ecatspec.model.core.state import RuleName
+from ecatspec.model.core.values import admits, bits_of
+from ecatspec.model.core.wording import bytes_words, register_words
+from ecatspec.model.esc.esc import field_of
 from ecatspec.model.oracle.alternatives import last_rules
 from ecatspec.model.oracle.diagnosis import mismatch
 from ecatspec.model.oracle.knowledge import demanded
-from ecatspec.model.shown import advised
-from ecatspec.model.state import RuleName
-from ecatspec.model.values import admits, bits_of
-from ecatspec.model.words import bytes_words, register_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.candidates import Exchange, Mismatch
-    from ecatspec.model.codec import Message
-    from ecatspec.model.compiled import Model
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.oracle.explanations import Exchange, Mismatch
     from ecatspec.model.oracle.knowledge import Knowledge
     from ecatspec.spec.language.ir import ObjectEntry, Register
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.blame import Alternative, sizing
-from ecatspec.model.compiled import timers_of
-from ecatspec.model.dictionary import size_varies
-from ecatspec.model.interpreter import differing, expected_fields, row_of
-from ecatspec.model.once import once
-from ecatspec.model.shown import machines_of, shown_fields, shown_register
-from ecatspec.model.values import Octets, Unknown, admits
+from ecatspec.model.core.compilation import timers_of
+from ecatspec.model.core.interpreter import differing, expected_fields, row_of
+from ecatspec.model.core.memo import once
+from ecatspec.model.core.object_dictionary import size_varies
+from ecatspec.model.core.observables import machines_of, shown_fields, shown_register
+from ecatspec.model.core.values import Octets, Unknown, admits
+from ecatspec.model.oracle.blame import Alternative, sizing
 from ecatspec.spec.language.ir import Named, Rule
 from ecatspec.spec.language.scope import names_in
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
     from collections.abc import Set as AbstractSet
 
-    from ecatspec.model.candidates import Candidate
-    from ecatspec.model.codec import Message
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import Output, RuleName, State
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import Output, RuleName, State
+    from ecatspec.model.core.values import Value
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate
     from ecatspec.spec.language.ir import Expression, ObjectEntry, Register
 
 _VALUE: Final = "value"

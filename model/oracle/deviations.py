@@ -7,24 +7,24 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from ecatspec.model.candidates import Loose
-from ecatspec.model.feeding import widened
-from ecatspec.model.interpreter import afterwards
+from ecatspec.model.core.interpreter import afterwards
+from ecatspec.model.core.observables import machines_of, words_in
+from ecatspec.model.core.values import UNKNOWN
+from ecatspec.model.oracle.cyclic_outputs import widened
+from ecatspec.model.oracle.expansion import served
+from ecatspec.model.oracle.explanations import Loose
 from ecatspec.model.oracle.reads import left, registers_inside
 from ecatspec.model.oracle.writes import DATA_IN
-from ecatspec.model.serving import served
-from ecatspec.model.shown import machines_of, words_in
-from ecatspec.model.values import UNKNOWN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.candidates import Candidate, Exchange
-    from ecatspec.model.compiled import Model
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import RuleName, State
+    from ecatspec.model.core.values import Value
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate, Exchange
     from ecatspec.model.oracle.knowledge import Knowledge
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import RuleName, State
-    from ecatspec.model.values import Value
 
 
 def is_mail(known: Knowledge, exchange: Exchange) -> bool:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.model.blame import blame, strongest_first
-from ecatspec.model.candidates import Mismatch
-from ecatspec.model.compiled import MAILBOX
-from ecatspec.model.esc import SYNC_MANAGERS, field_of
-from ecatspec.model.interpreter import afterwards, differing, expected_fields, later_fields
+from ecatspec.model.core.compilation import MAILBOX
+from ecatspec.model.core.interpreter import afterwards, differing, expected_fields, later_fields
+from ecatspec.model.core.observables import fields_in, shown_fields, shown_register, words_in
+from ecatspec.model.core.values import Unknown
+from ecatspec.model.core.wording import fields_words, message_words, register_words
+from ecatspec.model.esc.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.oracle.alternatives import (
     of_machines,
     of_message,
@@ -19,6 +20,8 @@ from ecatspec.model.oracle.alternatives import (
     refuses,
     shows_state,
 )
+from ecatspec.model.oracle.blame import blame, strongest_first
+from ecatspec.model.oracle.explanations import Mismatch
 from ecatspec.model.oracle.judged import (
     InputsRead,
     MailboxFound,
@@ -29,22 +32,19 @@ from ecatspec.model.oracle.judged import (
 )
 from ecatspec.model.oracle.knowledge import Knowledge, reasons_of
 from ecatspec.model.oracle.reads import left
-from ecatspec.model.shown import fields_in, shown_fields, shown_register, words_in
-from ecatspec.model.values import Unknown
-from ecatspec.model.words import fields_words, message_words, register_words
 from ecatspec.spec.language.scope import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
-    from ecatspec.model.blame import Alternative
-    from ecatspec.model.candidates import Exchange
-    from ecatspec.model.codec import Message
-    from ecatspec.model.compiled import Model
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import Output, State
+    from ecatspec.model.core.values import Value
+    from ecatspec.model.oracle.blame import Alternative
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Exchange
     from ecatspec.model.oracle.judged import Contradiction
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import Output, State
-    from ecatspec.model.values import Value
     from ecatspec.spec.language.ir import Register, Word
 
 _STATUS: Final = f"{SYNC_MANAGERS[1]}_status"

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
-    from ecatspec.model.codec import Message
-    from ecatspec.model.serving import Explanations
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.oracle.expansion import Explanations
     from ecatspec.spec.language.ir import Register, Word
 
 

@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ecatspec.model import shown
-from ecatspec.model.evaluate import Environment
-from ecatspec.model.interpreter import step
-from ecatspec.model.once import once
-from ecatspec.model.serving import is_alive
-from ecatspec.model.unknowns import is_open
-from ecatspec.model.words import reason_words
+from ecatspec.model.core import observables
+from ecatspec.model.core.expressions import Environment
+from ecatspec.model.core.interpreter import step
+from ecatspec.model.core.memo import once
+from ecatspec.model.core.wording import reason_words
+from ecatspec.model.oracle.expansion import is_alive
+from ecatspec.model.oracle.havoc import is_open
 
 if TYPE_CHECKING:
-    from ecatspec.model.candidates import Candidate, Exchange
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import RuleName, State
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import RuleName, State
+    from ecatspec.model.core.values import Value
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate, Exchange
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,30 +85,32 @@ class Knowledge:
 
     def area(self, name: str) -> tuple[int, int] | None:
         """Give start and length in bytes of a mailbox as far as all explanations agree."""
-        areas = {shown.mailbox_area(self.model, each.state, name) for each in self.candidates}
+        areas = {observables.mailbox_area(self.model, each.state, name) for each in self.candidates}
         return areas.pop() if len(areas) == 1 else None
 
     def process_area(self, name: str) -> tuple[int, int] | None:
         """Give start and length in bytes of process data that are switched on, if all agree."""
-        areas = {shown.process_area(self.model, each.state, name) for each in self.candidates}
+        areas = {observables.process_area(self.model, each.state, name) for each in self.candidates}
         return areas.pop() if len(areas) == 1 else None
 
     def concerned(self, name: str, exchange: Exchange) -> bool:
         """Tell whether an access is one to process data, which nothing but a write moves."""
         span = exchange.span()
-        return any(shown.process_area(self.model, c.state, name) == span for c in self.candidates)
+        return any(
+            observables.process_area(self.model, c.state, name) == span for c in self.candidates
+        )
 
     def words_in(self, image: bytes) -> tuple[tuple[str, str], ...]:
         """Give the words that inputs hold, by name and in words."""
-        return shown.words_in(self.model, self.example(), image)
+        return observables.words_in(self.model, self.example(), image)
 
     # --- what happened ----------------------------------------------------------------------------
 
     def surprises(self) -> tuple[str, ...]:
         """Give the unrequested events that explain the device; empty if it may be none."""
-        if not all(candidate.befell for candidate in self.candidates):
+        if not all(candidate.spontaneous for candidate in self.candidates):
             return ()
-        return tuple(sorted({name for each in self.candidates for name in each.befell}))
+        return tuple(sorted({name for each in self.candidates for name in each.spontaneous}))
 
     def certain_rules(self) -> frozenset[RuleName]:
         """Give the rules that fired in every explanation's history.

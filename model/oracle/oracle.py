@@ -1,4 +1,4 @@
-"""Judging: which states explain all that was exchanged with a device so far.
+"""Judges exchanges: keeps the states that explain all that was exchanged so far.
 
 The oracle sees bus exchanges only (a read or a write of ESC memory with its working counter), so
 it judges a test run and a capture alike. It keeps every state that the texts allow; an observation
@@ -12,13 +12,17 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec import structs
 
-from ecatspec.model.candidates import Candidate, Exchange, Loose
-from ecatspec.model.esc import field_of
-from ecatspec.model.feeding import fed, widened
-from ecatspec.model.interpreter import afterwards
+from ecatspec.model.core.interpreter import afterwards
+from ecatspec.model.core.observables import mailbox_area
+from ecatspec.model.core.state import Event
+from ecatspec.model.esc.esc import field_of
 from ecatspec.model.oracle import advice
+from ecatspec.model.oracle.cyclic_outputs import fed, widened
 from ecatspec.model.oracle.deviations import deviated, is_mail, shown_anywhere
 from ecatspec.model.oracle.diagnosis import diagnosed
+from ecatspec.model.oracle.expansion import Grown, grown
+from ecatspec.model.oracle.explanations import Candidate, Exchange, Loose
+from ecatspec.model.oracle.havoc import any_states, warm
 from ecatspec.model.oracle.judged import (
     InputsRead,
     MailboxFound,
@@ -51,20 +55,16 @@ from ecatspec.model.oracle.writes import (
     write_registers,
     written_registers,
 )
-from ecatspec.model.serving import Grown, grown
-from ecatspec.model.shown import mailbox_area
-from ecatspec.model.state import Event
-from ecatspec.model.unknowns import any_states, warm
 from ecatspec.spec.language.scope import IMAGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from ecatspec.model.candidates import Mismatch
-    from ecatspec.model.compiled import Model
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.values import ObjectKey
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Mismatch
     from ecatspec.model.oracle.judged import Contradiction
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.values import ObjectKey
     from ecatspec.spec.language.ir import Register
 
 _LOOKS: Final = 1024
@@ -393,13 +393,14 @@ class Oracle:
     def forget_history(self) -> None:
         """Keep the last rule of each machine, and no accidents: some runs have no end."""
         if not any(
-            c.befell or len(h) > len({r.machine for r in h}) for c, h in self.candidates.items()
+            c.spontaneous or len(h) > len({r.machine for r in h})
+            for c, h in self.candidates.items()
         ):
             return
         self._right = {}
         last = {c: {rule.machine: rule for rule in h} for c, h in self.candidates.items()}
         self.candidates = {
-            structs.replace(candidate, befell=()): tuple(rules.values())
+            structs.replace(candidate, spontaneous=()): tuple(rules.values())
             for candidate, rules in last.items()
         }
 

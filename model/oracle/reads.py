@@ -6,23 +6,23 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from ecatspec.model.candidates import Loose, Pending, with_alarms
-from ecatspec.model.interpreter import matches, step
-from ecatspec.model.once import once
+from ecatspec.model.core.interpreter import matches, step
+from ecatspec.model.core.memo import once
+from ecatspec.model.core.observables import decided, definitely, odd_words, process_area, seen
+from ecatspec.model.oracle.expansion import is_shut, may_hold_anything, served
+from ecatspec.model.oracle.explanations import Loose, Pending, with_alarms
 from ecatspec.model.oracle.judged import Judged
 from ecatspec.model.oracle.knowledge import demanded
 from ecatspec.model.oracle.writes import DATA_IN
-from ecatspec.model.serving import is_shut, may_hold_anything, served
-from ecatspec.model.shown import decided, definitely, odd_words, process_area, seen
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from ecatspec.model.candidates import Candidate, Exchange
-    from ecatspec.model.codec import Message
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import Output, RuleName, State, Step
+    from ecatspec.model.core.codec import Message
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import Output, RuleName, State, Step
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate, Exchange
     from ecatspec.spec.language.ir import Register, Word
 
 
@@ -178,7 +178,7 @@ def surprised(
                 continue
             hit = candidate
             if event not in model.own:
-                hit = structs.replace(candidate, befell=(*candidate.befell, name))
+                hit = structs.replace(candidate, spontaneous=(*candidate.spontaneous, name))
             pending = Pending(event, time, since=time)
             for rest, rules in served(model, hit, pending, candidate.inbox):
                 if rules and rest.state != candidate.state:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ecatspec.model.oracle.expansion import is_idle
 from ecatspec.model.oracle.knowledge import judges_mail
-from ecatspec.model.serving import is_idle
 
 if TYPE_CHECKING:
-    from ecatspec.model.candidates import Candidate, Pending
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.serving import Explanations
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate, Pending
 
 
 def to_come(model: Model, known: Explanations, time: int, *, unread: bool) -> tuple[int, ...]:

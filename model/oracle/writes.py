@@ -6,27 +6,27 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
-from ecatspec.model.candidates import Loose, Pending
-from ecatspec.model.compiled import MAILBOX
-from ecatspec.model.esc import PROCESS_DATA, SYNC_MANAGERS
-from ecatspec.model.feeding import fed, widened
-from ecatspec.model.interpreter import fields_with_before, forgotten, step
-from ecatspec.model.once import once
+from ecatspec.model.core.compilation import MAILBOX
+from ecatspec.model.core.interpreter import fields_with_before, forgotten, step
+from ecatspec.model.core.memo import once
+from ecatspec.model.core.observables import enabled, mailbox_area, process_area
+from ecatspec.model.core.state import Event
+from ecatspec.model.core.values import UNKNOWN
+from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.oracle.cyclic_outputs import fed, widened
+from ecatspec.model.oracle.expansion import is_alive, is_idle
+from ecatspec.model.oracle.explanations import Loose, Pending
+from ecatspec.model.oracle.havoc import is_open
 from ecatspec.model.oracle.judged import Judged
 from ecatspec.model.oracle.knowledge import demanded
-from ecatspec.model.serving import is_alive, is_idle
-from ecatspec.model.shown import enabled, mailbox_area, process_area
-from ecatspec.model.state import Event
-from ecatspec.model.unknowns import is_open
-from ecatspec.model.values import UNKNOWN
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
-    from ecatspec.model.candidates import Candidate, Exchange
-    from ecatspec.model.compiled import Model
-    from ecatspec.model.serving import Explanations
-    from ecatspec.model.state import RuleName, State
-    from ecatspec.model.values import Value
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.state import RuleName, State
+    from ecatspec.model.core.values import Value
+    from ecatspec.model.oracle.expansion import Explanations
+    from ecatspec.model.oracle.explanations import Candidate, Exchange
     from ecatspec.spec.language.ir import Register
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS

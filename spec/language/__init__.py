@@ -1,1 +1,1 @@
-"""The only place for the language of the texts: grammar, IR, names, checks, pretty printer."""
+"""The language of the texts: grammar, IR, names, checks, pretty printer."""

@@ -1,4 +1,4 @@
-"""The only place for finding out whether texts make sense: names, kinds of values, meaning."""
+"""Checks that texts make sense: names, kinds of values, meaning."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for what is wrong with texts before the merge: said twice, not cited, in vain."""
+"""Checks texts before the merge: repetitions, missing citations, statements without effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for what can be wrong with a text: codes, sentences, how a finding prints."""
+"""The diagnostics: codes, sentences, and how a finding is printed."""
 
 from __future__ import annotations
 

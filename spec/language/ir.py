@@ -1,4 +1,4 @@
-"""The only place for the shape of a specification: what a text says, as frozen data.
+"""The shape of a specification: what a text says, as frozen data.
 
 Every node that comes from a text carries its place in `at`, which takes no part in comparison:
 two texts that say the same are equal wherever they say it.
@@ -117,7 +117,7 @@ Type: TypeAlias = UInt | SInt | Bool | Named | Bytes | Text | Area | Time
 class Literal:
     """A number or a truth value.
 
-    `digits` keeps how it was written: 0 decimal, n > 0 so many hex digits, -1 with a unit of time.
+    `digits` keeps how it was written: 0 decimal, n > 0 hex with n digits, -1 with a unit of time.
     """
 
     value: int | bool
@@ -389,7 +389,7 @@ class Input:
     kind "word": the device took a value for the object of the word `origin`, parameters are its
     fields and `cyclic` (by process data, not by SDO);
     kind "outputs": the MainDevice wrote process data, the parameter is `image`;
-    kind "local": it befalls the device, unseen by the MainDevice until a rule shows it;
+    kind "local": it happens in the device, unseen by the MainDevice until a rule shows it;
     kind "own": the device does it when it likes.
     """
 
@@ -606,7 +606,7 @@ class ObjectEntry:
     """One entry of the object dictionary.
 
     `states` are the AL states in which it can be written, `read_states` those in which it can be
-    read; empty for all. `maps`: it is a mapping entry of so many bits, of an unknown object.
+    read; empty for all. `maps`: the number of bits of a mapping entry of an unknown object.
     A string is `fixed`, or of `varying` size up to that of its type; neither: no text says it.
     `stored`: it keeps over power-off what was written, so its default need not be there; `guarded`:
     it takes only values that no text knows, a signature or a password.

@@ -1,4 +1,4 @@
-"""The only place for what is kept between starts: it would take long to work out again."""
+"""Keeps on disk, between starts, what takes long to compute."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for putting texts together: shipped texts, device texts on top, one Protocol."""
+"""Loads texts: shipped texts with device texts on top, merged to one Protocol."""
 
 from __future__ import annotations
 

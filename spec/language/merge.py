@@ -1,4 +1,4 @@
-"""The only place for what texts do to each other: extend, pin, set, close, replace, remove."""
+"""Merges texts: extend, pin, set, close, replace, remove."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The only place for what the rules of one machine mean together: overlap, dead rules and states.
+"""Checks the rules of a machine together: overlaps, dead rules and dead states.
 
 Everything that a guard reads is a dimension with a few sample values: both truths, all ways at a
 choice, the numbers that it is compared with and their neighbours. Two guards overlap if some

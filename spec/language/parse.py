@@ -1,4 +1,4 @@
-"""The only place for turning characters into the IR of a text."""
+"""Parses the characters of a text to its IR."""
 
 from __future__ import annotations
 

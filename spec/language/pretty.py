@@ -1,4 +1,4 @@
-"""The only place for turning IR back into a text that parses to the same IR.
+"""Prints IR as a text that parses to the same IR.
 
 Comments are no part of the IR: this is for showing a specification, not for rewriting files.
 """

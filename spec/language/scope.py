@@ -1,4 +1,4 @@
-"""The only place for what a name means: in a rule, in a register, in a frame, in a parameter.
+"""Resolves names: in a rule, in a register, in a frame, in a parameter.
 
 A bare name is looked up in this order; the first that knows it wins:
 
@@ -216,7 +216,9 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
         _ENTRY, Bool(), "no text says whether the size of the string varies"
     ),
     "present_size": FunctionSignature(_ENTRY, UInt(32), "bytes that an upload may announce now"),
-    "size_allowed": FunctionSignature((*_ENTRY, _COUNT), Bool(), "so many bytes can be written"),
+    "size_allowed": FunctionSignature(
+        (*_ENTRY, _COUNT), Bool(), "a number of bytes can be written"
+    ),
     "value_of": FunctionSignature(_ENTRY, _DATA, "the present value as bytes on the wire"),
     "range_known": FunctionSignature(_ENTRY, Bool(), "a text states the range of the entry"),
     "in_range": FunctionSignature((*_ENTRY, _DATA), Bool(), "the range of the entry allows it"),
@@ -242,11 +244,13 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "in_work": FunctionSignature((), Bool(), "an earlier request was unanswered when this came"),
     "length": FunctionSignature((_DATA,), UInt(32), "how many bytes there are"),
     "join": FunctionSignature((_DATA, _DATA), _DATA, "the second after the first"),
-    "cut": FunctionSignature((_DATA, _COUNT), _DATA, "the first so many bytes"),
-    "zeros": FunctionSignature((_COUNT,), _DATA, "so many bytes of zero"),
+    "cut": FunctionSignature((_DATA, _COUNT), _DATA, "the first bytes, up to a length"),
+    "zeros": FunctionSignature((_COUNT,), _DATA, "a number of zero bytes"),
     "word": FunctionSignature((UInt(16),), _DATA, "the number in two bytes"),
     "piece": FunctionSignature(
-        (_DATA, _COUNT, _COUNT, _COUNT), _DATA, "from an offset on, at least and at most so many"
+        (_DATA, _COUNT, _COUNT, _COUNT),
+        _DATA,
+        "from an offset on, of a least and a greatest length",
     ),
     "numbered": FunctionSignature(
         (_DATA, _COUNT, _COUNT, _COUNT),
@@ -271,14 +275,16 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
     "image_size": FunctionSignature(
         (_INDEX,), UInt(32), "bytes of the process data that an assignment object assigns"
     ),
-    "pdo_bits": FunctionSignature(_ENTRY, UInt(32), "bits of the first so many entries of a PDO"),
+    "pdo_bits": FunctionSignature(
+        _ENTRY, UInt(32), "bits of the first entries of a PDO, up to a count"
+    ),
     "repeated": FunctionSignature(
         (_INDEX,), Bool(), "the PDOs of the assignment map an entry more than once"
     ),
     "has_value": FunctionSignature((*_ENTRY, _DATA), Bool(), "the entry has this value already"),
-    "holds": FunctionSignature(_ENTRY, Bool(), "so many entries of the object are possible"),
+    "holds": FunctionSignature(_ENTRY, Bool(), "a number of entries of the object is possible"),
     "bit": FunctionSignature((_COUNT, UInt(8)), Bool(), "this bit of the number is set"),
-    "microseconds": FunctionSignature((_COUNT,), Time(), "so many microseconds"),
+    "microseconds": FunctionSignature((_COUNT,), Time(), "a number of microseconds"),
     "rises": FunctionSignature((Bool(),), Bool(), "it is true now and was false before"),
     "falls": FunctionSignature((Bool(),), Bool(), "it is false now and was true before"),
 }

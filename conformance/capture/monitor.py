@@ -1,0 +1,281 @@
+"""Judges a capture, with one oracle for each SubDevice in it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from ecatspec.conformance.base.devices import load
+from ecatspec.conformance.base.verdict import (
+    ADVISED,
+    MAIN_DEVICE,
+    REASON,
+    SUB_DEVICE,
+    UNEXPLAINED,
+    Outcome,
+    Result,
+    TraceLine,
+    Verdict,
+)
+from ecatspec.conformance.capture.transactions import Capture
+from ecatspec.conformance.run.coverage import extent_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.memo import once
+from ecatspec.model.core.wording import message_words, register_words
+from ecatspec.model.esc.esc import SYNC_MANAGERS, field_of
+from ecatspec.model.esc.wire import wire_format
+from ecatspec.model.oracle.explanations import Exchange, Mismatch
+from ecatspec.model.oracle.oracle import Oracle
+from ecatspec.spec.language.ir import Level
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from ecatspec.conformance.capture.segment import Transaction
+    from ecatspec.model.core.state import RuleName
+    from ecatspec.model.oracle.expansion import Explanations
+
+_MICROSECONDS = 1_000_000
+_REMEMBERED = 12
+_REMEMBERED_TO_ALL = 64
+"""Maximum number of earlier broadcast writes that a newly seen SubDevice is given."""
+
+
+@dataclass(slots=True)
+class Follower:
+    """What is known of one SubDevice of the capture."""
+
+    model: Model
+    oracle: Oracle
+    verdicts: list[Verdict] = field(default_factory=list)
+    rules: set[RuleName] = field(default_factory=set)
+    recent: deque[TraceLine] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    path: list[str] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+    """Why requests were refused, with the frame that showed it."""
+    accidents: list[str] = field(default_factory=list)
+    """What happened in the device without a request, with the frame that showed it."""
+    messages: Counter[str] = field(default_factory=Counter)
+    exchanges: int = 0
+    lost: int = 0
+    _advised: set[str] = field(default_factory=set)
+    """The signatures of the advice that was given already."""
+    _shown: str = ""
+    _told: tuple[str, ...] = ()
+    """The reasons after the last look."""
+    _starts: dict[str, int | None] = field(default_factory=dict)
+    _starts_of: Explanations | None = None
+    """The explanations by which the mailboxes begin there."""
+    _known: Explanations | None = None
+    """The explanations after the last look: the same again tell nothing new."""
+
+    def begin_after(self, transaction: Transaction) -> None:
+        """Take in what was written to all before anything was seen of this one."""
+        if transaction.confirmed and transaction.done:
+            self.oracle.holding(_exchange(transaction))
+
+    def follow(self, transaction: Transaction) -> None:
+        """Judge one access; after a mismatch go on from what it showed."""
+        exchange = _exchange(transaction)
+        if not transaction.confirmed:
+            self.lost += 1
+            self.oracle.perhaps(exchange)
+            return
+        self.exchanges += 1
+        self._remember(exchange)
+        mismatch = self.oracle.observe(exchange)
+        for signature in self.oracle.advice.keys() - self._advised:
+            self._advised.add(signature)
+            self.verdicts.append(self._verdict(self.oracle.advice[signature], ADVISED))
+        if mismatch is None and self.oracle.candidates is self._known:
+            return
+        self.rules |= self.oracle.known.certain_rules()
+        reasons = self.oracle.known.reasons() if mismatch is None else mismatch.reasons
+        for reason in reasons:
+            if reason not in self._told:
+                self.reasons.append(f"{reason} ({exchange.reference})")
+                self.recent.append(TraceLine(exchange.time, REASON, reason))
+        if mismatch is not None:
+            self.verdicts.append(self._verdict(mismatch))
+            self.oracle.unknown(keep=True)
+            self.oracle.observe(exchange)
+        else:
+            if surprises := self.oracle.known.surprises():
+                what = f"{' or '.join(surprises)} by itself ({exchange.reference})"
+                self.accidents.append(what)
+                self.recent.append(TraceLine(exchange.time, SUB_DEVICE, what))
+            self.oracle.forget_history()
+        self._known = self.oracle.candidates
+        self._told = self.oracle.known.reasons()
+
+    def _remember(self, exchange: Exchange) -> None:
+        if not exchange.working_counter:
+            return
+        words, data = self._words(exchange)
+        if words and words != self._shown:
+            self._shown = words
+            who = MAIN_DEVICE if exchange.write else SUB_DEVICE
+            said = f"{words} ({exchange.reference})"
+            self.recent.append(TraceLine(exchange.time, who, said, data))
+
+    def _words(self, exchange: Exchange) -> tuple[str, bytes]:
+        """Give what an exchange says, and the bytes of a message."""
+        said, status = _said(self.model, exchange.write, exchange.address, exchange.data)
+        if status and not (self.path and self.path[-1].startswith(status)):
+            self.path.append(f"{status} ({exchange.reference})")
+        if exchange.address != self._start(SYNC_MANAGERS[0 if exchange.write else 1]):
+            return said, b""
+        message = self.model.decode(exchange.data)
+        if message is None:
+            return said, b""
+        self.messages[message.frame] += 1
+        words = message_words(self.model, message)
+        return f"{said}; {words}" if said else words, exchange.data[
+            : self.model.codec.length(message)
+        ]
+
+    def _start(self, name: str) -> int | None:
+        """Give where a mailbox begins."""
+        if self._starts_of is not self.oracle.candidates:
+            areas = {name: self.oracle.known.area(name) for name in SYNC_MANAGERS}
+            self._starts = {name: area and area[0] for name, area in areas.items()}
+            self._starts_of = self.oracle.candidates
+        return self._starts[name]
+
+    def _verdict(self, mismatch: Mismatch, reason: str = UNEXPLAINED) -> Verdict:
+        clauses = self.model.protocol.clauses
+        cited = [clauses[name] for name in mismatch.clauses]
+        blames = any(clause.level is Level.MUST for clause in cited)
+        return Verdict(
+            f"monitor/{mismatch.exchange.reference.replace(' ', '_')}",
+            Outcome.FAIL if blames else Outcome.WARNING,
+            f"{mismatch.subject} at {mismatch.exchange.reference}",
+            reason,
+            mismatch.expected,
+            mismatch.observed,
+            mismatch.clauses,
+            tuple(dict.fromkeys(claim for clause in cited for claim in clause.claims)),
+            tuple(self.recent),
+            mismatch.exchange.reference,
+            mismatch.signature,
+            mismatch.causes,
+            differing=mismatch.differing,
+            blamed=tuple(map(str, mismatch.rules)),
+        )
+
+
+def _exchange(transaction: Transaction) -> Exchange:
+    return Exchange(
+        round(transaction.time * _MICROSECONDS),
+        transaction.write,
+        transaction.address,
+        transaction.data,
+        transaction.working_counter if transaction.done else 0,
+        f"frame {transaction.frame}",
+    )
+
+
+@once
+def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, str]:  # noqa: FBT001
+    """Give what an access to registers of the AL says in words, and what it says of the state."""
+    parts, status = [], ""
+    for name in ("al_control", "al_status", "al_status_code"):
+        register = model.protocol.registers[name]
+        offset = register.address - address
+        content = data[offset : offset + register.size] if offset >= 0 else b""
+        if not content or write != (name == "al_control"):
+            continue
+        raw = int.from_bytes(content, "little")
+        fields = {
+            bits.name: field_of(model.protocol, name, bits.name, raw) for bits in register.fields
+        }
+        parts.append(register_words(model, name, fields))
+        if name == "al_status":
+            status = parts[-1]
+    return "; ".join(parts), status
+
+
+def monitor_file(
+    path: Path,
+    device: str,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> tuple[Result, ...]:
+    """Judge every SubDevice of a capture against a device text; one result each."""
+    began = time.monotonic()
+    protocol = load(device)
+    model = Model(protocol)
+    capture = Capture(path, wire_format(model))
+    followers: dict[int, Follower] = {}
+    to_all: deque[Transaction] = deque(maxlen=_REMEMBERED_TO_ALL)
+
+    def follower(identity: int) -> Follower:
+        if identity not in followers:
+            oracle = Oracle(model)
+            oracle.unknown()
+            followers[identity] = new = Follower(model, oracle)
+            for earlier in to_all:
+                new.begin_after(earlier)
+        return followers[identity]
+
+    for number, transaction in enumerate(capture):
+        if progress is not None and number % 500 == 0:
+            progress(number, 0, f"frame {transaction.frame}")
+        if transaction.device is not None:
+            follower(capture.segment.canonical(transaction.device)).follow(transaction)
+        elif transaction.write or len(followers) == 1 == capture.segment.size:
+            if transaction.write:
+                to_all.append(transaction)
+            for each in followers.values():
+                each.follow(transaction)
+    seconds = time.monotonic() - began
+    notes = [] if capture.truncated is None else [capture.truncated]
+    return tuple(
+        _result(model, capture.segment.name(identity), path, each, seconds, notes)
+        for identity, each in sorted(followers.items())
+    )
+
+
+def _result(
+    model: Model, name: str, path: Path, follower: Follower, seconds: float, notes: list[str]
+) -> Result:
+    extent = extent_of(model, follower.rules, {})
+    verdicts = list(follower.verdicts)
+    if not verdicts:
+        seen = bool(follower.rules)
+        verdicts.append(
+            Verdict(
+                f"monitor/{name}",
+                Outcome.PASS if seen else Outcome.INCONCLUSIVE,
+                f"SubDevice {name}",
+                "" if seen else "the capture shows nothing that a rule speaks of",
+            )
+        )
+    states = "AL: " + " -> ".join(follower.path)
+    messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
+    lost = f"{follower.lost} accesses whose return was not captured" if follower.lost else ""
+    refused = [f"refused: {reason}" for reason in dict.fromkeys(follower.reasons)]
+    shown = (
+        f"{follower.exchanges} exchanges",
+        states,
+        f"mailbox: {messages or 'nothing'}",
+        *refused,
+        *follower.accidents,
+        lost,
+    )
+    return Result(
+        model.protocol.name,
+        f"{name} in {path.name}",
+        tuple(verdicts),
+        extent.rules_covered,
+        extent.rules_total,
+        extent.clauses_covered,
+        extent.clauses_total,
+        seconds,
+        follower.oracle.known.choices(),
+        (*filter(None, shown), *notes),
+        rules_beyond=extent.rules_beyond,
+        clauses_beyond=extent.clauses_beyond,
+    )

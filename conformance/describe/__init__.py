@@ -1,0 +1,1 @@
+"""A text in tables and pages for people."""

@@ -1,0 +1,1 @@
+"""Kill analysis: which mistakes in a device its suite finds."""

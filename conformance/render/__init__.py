@@ -1,0 +1,1 @@
+"""Forms that several outputs share: tables, colours, annotations, SARIF."""

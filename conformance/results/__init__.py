@@ -1,0 +1,1 @@
+"""Runs that were kept: their files, their history, comparison, known deviations."""

@@ -1,0 +1,1 @@
+"""A conformance run: sessions with a device, the judging of cases, workers."""

@@ -1,0 +1,1 @@
+"""Covers: the fixed cases, one module for each part of the protocol."""

@@ -1,0 +1,1 @@
+"""Seeded random tests: walks over a device, and Hypothesis strategies."""

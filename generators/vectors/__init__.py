@@ -1,0 +1,1 @@
+"""Test vectors: the shape of their files, and words for their bytes."""

@@ -1,0 +1,1 @@
+"""Questions about the texts alone: citations, facts, differences, what cannot be reached."""

@@ -1,0 +1,1 @@
+"""Finite machines: made by exploring a device, and compared."""

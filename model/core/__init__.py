@@ -1,0 +1,1 @@
+"""The meaning of the texts: values, expressions, states, messages, and one step of a device."""

@@ -1,0 +1,1 @@
+"""The EtherCAT SubDevice controller and the virtual SubDevice around it."""

@@ -1,0 +1,1 @@
+"""The texts as formulas: symbolic runs, proofs, and boundary values by a solver."""

@@ -82,7 +82,7 @@ _LADDER: Final = ("shutdown", "switch_on", "enable_operation")
 
 
 def walk(model: Model, limits: Limits, raisable: frozenset[str], seed: int, steps: int) -> Case:
-    """Give a random walk of `count` stimuli from power-on; a longer one begins like a shorter one.
+    """Give a random walk of `steps` stimuli from power-on; a longer one begins like a shorter one.
 
     The same arguments give the same walk, on every version of Python: only numbers of
     `Random.random` are used, which keeps its sequence.

@@ -268,7 +268,7 @@ def test_reports_show_what_is_known_as_such() -> None:
     protocol = load_device(DEVICE)
     found = [Result(DEVICE, "a", (verdict,), (), 1, (), 1, 0.0)]
     said = REPORTS["text"](found, protocol)
-    assert "deviates as is known_deviations, and conforms otherwise: 1 finding" in said
+    assert "deviates as is known, and conforms otherwise: 1 finding" in said
     assert "KNOWN: t" in said
     assert "identity  s" in said
     assert "Deviates as is known" in REPORTS["html"](found, protocol)

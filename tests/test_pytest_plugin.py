@@ -417,6 +417,7 @@ def test_the_plugin_is_light_and_declared() -> None:
         "ecatspec.conformance.pytest_plugin",
         "ecatspec.conformance.pytest_plugin.warned",
         "ecatspec.generators",
+        "ecatspec.generators.cases",
         "ecatspec.generators.cases.depths",
     ]
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

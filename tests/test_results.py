@@ -189,15 +189,15 @@ def test_one_run_writes_a_file_at_a_time(tmp_path: Path, monkeypatch: pytest.Mon
     with begin(file, BASIS) as journal:
         for judged in JUDGED:
             journal.keep(judged)
-            assert elsewhere(file, "results.begin(path, None, resume=True)") == f"{refused}\n"
-            assert elsewhere(file, "results.begin(path, None)") == f"{refused}\n"
+            assert elsewhere(file, "run_file.begin(path, None, resume=True)") == f"{refused}\n"
+            assert elsewhere(file, "run_file.begin(path, None)") == f"{refused}\n"
             for resume in (True, False):
                 with pytest.raises(UserError) as caught:
                     begin(file, BASIS, resume=resume)
                 assert str(caught.value) == refused
         assert elsewhere(file, _READ) == "2 False\n"
         journal.finish()
-        assert elsewhere(file, "results.begin(path, None)") == f"{refused}\n", "it may come to more"
+        assert elsewhere(file, "run_file.begin(path, None)") == f"{refused}\n", "it may come to more"
     assert read(file).verdicts == tuple(judged.verdict for judged in JUDGED)
     assert list(tmp_path.iterdir()) == [file]
 

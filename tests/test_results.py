@@ -197,7 +197,9 @@ def test_one_run_writes_a_file_at_a_time(tmp_path: Path, monkeypatch: pytest.Mon
                 assert str(caught.value) == refused
         assert elsewhere(file, _READ) == "2 False\n"
         journal.finish()
-        assert elsewhere(file, "run_file.begin(path, None)") == f"{refused}\n", "it may come to more"
+        assert elsewhere(file, "run_file.begin(path, None)") == f"{refused}\n", (
+            "it may come to more"
+        )
     assert read(file).verdicts == tuple(judged.verdict for judged in JUDGED)
     assert list(tmp_path.iterdir()) == [file]
 

@@ -13,7 +13,8 @@ import sys
 import textwrap
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field, replace
-from importlib import resources
+from importlib import import_module, resources
+from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -25,6 +26,8 @@ from ecatspec.conformance.adapters import HANG_TIMEOUT
 from ecatspec.conformance.base.adapter import AdapterError
 from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
 from ecatspec.conformance.capture import monitor
+from ecatspec.conformance.cli import export as export_command
+from ecatspec.conformance.cli.options import EXAMPLES
 from ecatspec.conformance.describe.text_tables import machine_sheets, sheets
 from ecatspec.conformance.mutation import kill_analysis
 from ecatspec.conformance.mutation.fates import Analysis, Fate, Fated, TableKills
@@ -142,21 +145,30 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 # --- help -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", sorted(cli.cli.commands))
+def command_of(name: str) -> click.Command:
+    found = cli.cli.get_command(click.Context(cli.cli), name)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("command", sorted(EXAMPLES))
 def test_each_command_shows_an_example_that_parses(command: str) -> None:
-    words = cli.EXAMPLES[command].split()
+    words = EXAMPLES[command].split()
     shown = CliRunner().invoke(cli.cli, [command, "--help"])
     assert shown.exit_code == 0
-    assert cli.EXAMPLES[command] in shown.output
+    assert EXAMPLES[command] in shown.output
     assert words[:2] == ["ecatspec", command]
-    cli.cli.commands[command].make_context(command, words[2:])
+    command_of(command).make_context(command, words[2:])
 
 
 def test_the_help_of_all_shows_all_examples() -> None:
-    assert set(cli.EXAMPLES) == set(cli.cli.commands)
+    modules = [each.name for each in iter_modules(cli.__path__) if not each.name.startswith("_")]
+    loaded = {name: import_module(f"{cli.__name__}.{name}") for name in modules}
+    found = {name for name, each in loaded.items() if hasattr(each, name)}
+    assert set(EXAMPLES) == found
     shown = CliRunner().invoke(cli.cli, ["--help"])
     assert shown.exit_code == 0
-    assert all(example in shown.output for example in cli.EXAMPLES.values())
+    assert all(example in shown.output for example in EXAMPLES.values())
     commands = shown.output.partition("Commands:")[2]
     assert "..." not in commands, "a summary is too long for a line of 80 columns"
 
@@ -175,7 +187,7 @@ def test_version(call: Call) -> None:
 
 def test_the_depths_are_those_of_the_runner() -> None:
     for command in ("run", "mutate", "export"):
-        (option,) = [p for p in cli.cli.commands[command].params if p.name == "depth"]
+        (option,) = [p for p in command_of(command).params if p.name == "depth"]
         assert isinstance(option.type, click.Choice)
         assert tuple(option.type.choices) == DEPTHS
     assert set(DEPTHS) == set(runner.EXAMPLES)
@@ -881,7 +893,7 @@ def test_what_goes_wrong_leaves_the_file_before(
 
 def test_no_binary_on_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     binary = Format("bytes", "bin", FORMATS["json"].write, text=False)
-    monkeypatch.setattr(cli, "FORMATS", {**FORMATS, "json": binary})
+    monkeypatch.setattr(export_command, "FORMATS", {**FORMATS, "json": binary})
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     assert_refused(call("export", "reference", "--format", "json"), "-o FILE")
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from seeds import printed_twice
 
 from ecatspec.conformance import cli
+from ecatspec.conformance.cli.show import show
 from ecatspec.conformance.drawings import DRAWINGS, svg
 from ecatspec.conformance.drawings.graph import ASIDE, ERRORS, NAMES, graph_of
 from ecatspec.spec.language.load import device_names, load_device
@@ -598,5 +599,5 @@ def test_wrong_wishes_are_refused_in_one_line(
 
 
 def test_the_help_names_the_formats() -> None:
-    (option,) = [p for p in cli.cli.commands["show"].params if p.name == "form"]
+    (option,) = [p for p in show.params if p.name == "form"]
     assert option.metavar == "|".join((*DRAWINGS, "markdown"))

@@ -13,6 +13,8 @@ import pytest
 from ecatspec.conformance import cli
 from ecatspec.conformance.base.devices import UserError
 from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.cli import exit_status
+from ecatspec.conformance.cli import trace as trace_command
 from ecatspec.conformance.results.run_history import CaseRecord, Record
 from ecatspec.conformance.traceability import evidence
 from ecatspec.conformance.traceability.evidence import Evidence, Violations, digest_of, fresh
@@ -199,16 +201,16 @@ def test_the_command_ends_with_1_where_a_reason_is_disproved(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(cli, "_known", lambda *_: ran)
+    monkeypatch.setattr(trace_command, "known_run", lambda *_: ran)
     evidence.write(tmp_path, model.protocol.name, measured)
     command = ["trace", str(mine), "--evidence", str(tmp_path)]
-    assert cli.main(command) == cli.DOES_NOT_CONFORM
+    assert cli.main(command) == exit_status.DOES_NOT_CONFORM
     assert capsys.readouterr().err.count("MINE-C3 has it") == 1
     left = {name: each for name, each in measured.items() if name != "MINE-C3"}
     evidence.write(tmp_path, model.protocol.name, left)
-    assert cli.main(command) == cli.CONFORMS
+    assert cli.main(command) == exit_status.CONFORMS
     assert "MINE-C3 has it" not in capsys.readouterr().err
-    assert cli.main([*command, "--measure"]) == cli.DOES_NOT_CONFORM  # it is found again
+    assert cli.main([*command, "--measure"]) == exit_status.DOES_NOT_CONFORM  # it is found again
     assert evidence.read(tmp_path, model.protocol.name) == measured
 
 

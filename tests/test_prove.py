@@ -13,6 +13,7 @@ pytest.importorskip("z3")
 
 from ecatspec.conformance import cli
 from ecatspec.conformance import prove as report
+from ecatspec.conformance.cli import exit_status
 from ecatspec.conformance.prove import details, proof_sheet, prove
 from ecatspec.model.symbolic.obligations import WORDING, Finding, Kind, Status, obligations
 from ecatspec.model.symbolic.proofs import Prover
@@ -394,7 +395,7 @@ def test_without_the_solver_no_worker_begins(monkeypatch: pytest.MonkeyPatch) ->
 def test_the_command_gives_status_and_data(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for extra, status in ((AL + TOY, cli.CONFORMS), (AREAS, cli.DOES_NOT_CONFORM)):
+    for extra, status in ((AL + TOY, exit_status.CONFORMS), (AREAS, exit_status.DOES_NOT_CONFORM)):
         timed = tuple(report.Timed(f, 0.25) for f in findings(extra))
         monkeypatch.setattr(
             report, "prove", lambda name, *_, timed=timed: report.Proofs(name, timed)
@@ -405,7 +406,9 @@ def test_the_command_gives_status_and_data(
         (device,) = data["devices"]
         assert {row["status"] for row in device["obligations"]} <= {s.value for s in Status}
         assert cli.main(["prove", "reference"]) == status
-        assert ("refuted: memory areas" in capsys.readouterr().out) is (status != cli.CONFORMS)
+        assert ("refuted: memory areas" in capsys.readouterr().out) is (
+            status != exit_status.CONFORMS
+        )
 
 
 def test_without_the_solver_one_line_says_what_to_install(
@@ -415,11 +418,11 @@ def test_without_the_solver_one_line_says_what_to_install(
         raise ModuleNotFoundError(name="z3")
 
     monkeypatch.setattr(report, "prove", missing)
-    assert cli.main(["prove", "reference"]) == cli.WRONG_INPUT
+    assert cli.main(["prove", "reference"]) == exit_status.WRONG_INPUT
     said = capsys.readouterr().err
     assert said == "ecatspec: proofs need the package z3-solver; install ecatspec[prove]\n"
 
 
 def test_a_device_that_does_not_exist_is_wrong_input(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["prove", "nothing"]) == cli.WRONG_INPUT
+    assert cli.main(["prove", "nothing"]) == exit_status.WRONG_INPUT
     assert "nothing" in capsys.readouterr().err

@@ -13,6 +13,7 @@ import pytest
 from wires import COMMAND, NEAR, cable
 
 from ecatspec.conformance import cli
+from ecatspec.conformance.cli import exit_status
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ print(counter, before, adapter.read(0x0010, 2)[0], adapter.read(0x0010, 2)[1].he
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    assert cli.main(["simulate", *words]) == cli.WRONG_INPUT
+    assert cli.main(["simulate", *words]) == exit_status.WRONG_INPUT
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1, printed.err
@@ -146,14 +147,14 @@ def test_no_such_device(capsys: pytest.CaptureFixture[str]) -> None:
 def test_an_interface_that_is_down(wire: Cable) -> None:
     wire.run(["ip", "link", "set", NEAR, "down"])
     done = wire.run([*COMMAND, "simulate", "reference", "--iface", NEAR])
-    assert done.returncode == cli.WRONG_INPUT
+    assert done.returncode == exit_status.WRONG_INPUT
     assert f"'{NEAR}' does not work (Network is down); set it up" in done.stderr
     done = wire.run([*COMMAND, "run", "reference", "--dut", f"eth:{NEAR}"])
-    assert done.returncode == cli.WRONG_INPUT
+    assert done.returncode == exit_status.WRONG_INPUT
     assert f"'{NEAR}' does not work (Network is down); set it up" in done.stderr
 
 
 def test_nobody_at_the_other_end(wire: Cable) -> None:
     done = wire.run([*COMMAND, "run", "reference", "--dut", f"eth:{NEAR}"])
-    assert done.returncode == cli.WRONG_INPUT
+    assert done.returncode == exit_status.WRONG_INPUT
     assert "no frame comes back" in done.stderr

@@ -27,7 +27,7 @@ from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, cast
 
-from ecatspec.conformance.adapters.in_process import Guarded
+from ecatspec.conformance.adapters.in_process import GuardedSnapshots
 from ecatspec.conformance.adapters.process import ProcessAdapter
 from ecatspec.conformance.adapters.shared_library import environment, library_file
 from ecatspec.conformance.adapters.sockets import at_path, at_port
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from importlib.metadata import EntryPoint
 
-    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Adapter, Restorable
 
     Factory = Callable[[str, Mapping[str, str]], Adapter]
     Opener = Callable[[str, str, float], Adapter]
@@ -187,7 +187,7 @@ def _open_socket(
 
 
 def _open_model(rest: str, device: str, _hang_timeout: float) -> Adapter:
-    return Guarded(_open_here("model", device, parse_options(rest)))
+    return GuardedSnapshots(cast("Restorable", _open_here("model", device, parse_options(rest))))
 
 
 def _open_here(name: str, device: str, options: Mapping[str, str]) -> Adapter:

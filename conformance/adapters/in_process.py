@@ -12,7 +12,7 @@ from ecatspec.conformance.base.adapter import AdapterError, DeviceCrash, raise_l
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ecatspec.conformance.base.adapter import Adapter, Description
+    from ecatspec.conformance.base.adapter import Adapter, Description, Restorable
 
 _T = TypeVar("_T")
 _P = ParamSpec("_P")
@@ -51,6 +51,22 @@ class Guarded:
     def describe(self) -> Description:
         """What was given."""
         return self._adapter.describe()
+
+
+class GuardedSnapshots(Guarded):
+    """The same of an adapter that can take snapshots of its device."""
+
+    def __init__(self, adapter: Restorable) -> None:
+        super().__init__(adapter)
+        self._snapshots = adapter
+
+    def snapshot(self) -> object:
+        """Give what the device is now."""
+        return self._snapshots.snapshot()
+
+    def restore(self, snapshot: object) -> None:
+        """Let the device be as it was then."""
+        self._snapshots.restore(snapshot)
 
 
 def _answered(ask: Callable[_P, _T], *arguments: _P.args, **words: _P.kwargs) -> _T:

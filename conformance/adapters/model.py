@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Protocol
 
 
-def make(device: str, options: Mapping[str, str]) -> VirtualAdapter:
+def make(device: str, options: Mapping[str, str]) -> SnapshotAdapter:
     """Return the virtual SubDevice of the text `device`, with a planted fault if one is named."""
     refuse_options("model", options, known=("mailbox", "fault"))
     loaded = load(device, options.get("mailbox", ""))
     protocol, quirks = planted(loaded, options.get("fault"))
-    return VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), described(protocol))
+    return SnapshotAdapter(VirtualSubDevice(protocol, quirks=quirks), described(protocol))
 
 
 def planted(protocol: Protocol, name: str | None) -> tuple[Protocol, frozenset[Quirk]]:
@@ -95,17 +95,24 @@ class VirtualAdapter:
         machine, _, name = event.partition(".")
         self._device.happen(machine, name, {})
 
-    def snapshot(self) -> Snapshot:
-        """Give what the device is now."""
-        return self._device.snapshot()
-
-    def restore(self, snapshot: Snapshot) -> None:
-        """Let the device be as it was then."""
-        self._device.restore(snapshot)
-
     def close(self) -> None:
         """Nothing to release."""
 
     def describe(self) -> Description:
         """What was given."""
         return self._description
+
+
+class SnapshotAdapter(VirtualAdapter):
+    """The contract over a virtual SubDevice that is all that there is of the device."""
+
+    def snapshot(self) -> Snapshot:
+        """Give what the device is now."""
+        return self._device.snapshot()
+
+    def restore(self, snapshot: object) -> None:
+        """Let the device be as it was then."""
+        if not isinstance(snapshot, Snapshot):
+            message = "this is no snapshot of a virtual SubDevice"
+            raise TypeError(message)
+        self._device.restore(snapshot)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, Protocol, Self
+from typing import TYPE_CHECKING, Final, Protocol, Self, runtime_checkable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -154,6 +154,21 @@ class Adapter(Protocol):
 
     def describe(self) -> Description:
         """Return what is known of the device; the same at every call."""
+
+
+@runtime_checkable
+class Restorable(Adapter, Protocol):
+    """An adapter that can set its device back: cases that begin alike need not begin anew.
+
+    Optional; for adapters in the process of the run. Nothing may remain of what was done after the
+    snapshot, wherever it is kept.
+    """
+
+    def snapshot(self) -> object:
+        """Return what the device is now, its time included."""
+
+    def restore(self, snapshot: object) -> None:
+        """Let the device be as it was then; a snapshot may be restored again."""
 
 
 def raise_local(adapter: Adapter, event: str) -> None:

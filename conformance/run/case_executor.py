@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, assert_never
 
 from hypothesis import HealthCheck, Phase, Verbosity, given, seed, settings
 
-from ecatspec.conformance.base.adapter import AdapterError, DeviceFault, Unheard
+from ecatspec.conformance.base.adapter import AdapterError, DeviceFault, Restorable, Unheard
 from ecatspec.conformance.base.verdict import (
     ADVISED,
     BLAMING,
@@ -26,6 +26,7 @@ from ecatspec.conformance.render.marks import headline
 from ecatspec.conformance.run.dut_knowledge import DutKnowledge, shape_of
 from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
 from ecatspec.conformance.run.shrink import shortest
+from ecatspec.conformance.run.snapshot_session import SnapshotSession
 from ecatspec.conformance.run.work_items import Judged, Search, Trial
 from ecatspec.generators.cases.assignment import at_power_on, first_assigned, read_configuration
 from ecatspec.generators.cases.bringup import has_process_data, way_to
@@ -89,7 +90,8 @@ class CaseExecutor:
         self.adapter = adapter
         self.description = description
         self.accepted = accepted
-        self.session = Session(adapter, model, Oracle(model), overlooks=True, accepted=accepted)
+        kind = SnapshotSession if isinstance(adapter, Restorable) else Session
+        self.session = kind(adapter, model, Oracle(model), overlooks=True, accepted=accepted)
         self.session.oracle.raised = description.locals
         self.known = DutKnowledge({**shape_of(model.protocol), **given})
         self.configured: dict[ObjectKey, bytes] | None = None

@@ -206,7 +206,7 @@ class Session:
         return [what for _, who, what, _ in self._told if who == REASON and isinstance(what, str)]
 
     def snapshot(self) -> SessionSnapshot:
-        """Give what the session is now, without its device."""
+        """Give what the session is now in its case, without its device."""
         values = {name: getattr(self, name) for name in _OWN}
         return SessionSnapshot(MappingProxyType({n: _apart(v) for n, v in values.items()}))
 
@@ -766,7 +766,9 @@ class Session:
         self._told.append((self.time, who, what, data))
 
 
-_OWN: Final = tuple(item.name for item in fields(Session) if item.name not in {"adapter", "model"})
+_OF_ALL_CASES: Final = frozenset({"adapter", "model", "exchanges", "moved"})
+"""What a session has beyond one case."""
+_OWN: Final = tuple(item.name for item in fields(Session) if item.name not in _OF_ALL_CASES)
 
 
 def _apart(value: object) -> object:

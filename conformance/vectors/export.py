@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import msgspec
 
-from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.adapters.model import SnapshotAdapter, described
 from ecatspec.conformance.base.devices import (
     TRUTHS,
     UserError,
@@ -149,7 +149,7 @@ class Export:
         description = described(device)
         oracle = Oracle(self._model)
         oracle.raised = description.locals
-        adapter = VirtualAdapter(VirtualSubDevice(device), description)
+        adapter = SnapshotAdapter(VirtualSubDevice(device), description)
         self._ways = {name: pin.alternative for name, pin in device.pins.items()}
         self._locals = description.locals
         self._recorder = Recorder(adapter, self._model, oracle)

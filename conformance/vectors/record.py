@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
-from ecatspec.conformance.run.session import AL, NOTHING, Session
+from ecatspec.conformance.run.session import AL, NOTHING, SessionSnapshot
+from ecatspec.conformance.run.snapshot_session import SnapshotSession
 from ecatspec.generators.cases.case import Happen
 from ecatspec.generators.vectors.schema import (
     Allowed,
@@ -34,12 +35,12 @@ from ecatspec.model.core.values import bits_of
 from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.oracle.expansion import is_idle, may_hold_anything
 from ecatspec.model.oracle.explanations import Exchange
-from ecatspec.model.oracle.reads import surprised
+from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Hashable, Iterable, Mapping
 
-    from ecatspec.conformance.base.adapter import Adapter
+    from ecatspec.conformance.base.adapter import Restorable
     from ecatspec.generators.cases.case import Stimulus
     from ecatspec.generators.vectors.schema import Effect, Expected, Input
     from ecatspec.model.core.compilation import Model
@@ -47,8 +48,9 @@ if TYPE_CHECKING:
     from ecatspec.model.core.values import ObjectKey
     from ecatspec.model.oracle.expansion import Explanations
     from ecatspec.model.oracle.explanations import Candidate
-    from ecatspec.model.oracle.oracle import Oracle
     from ecatspec.spec.language.ir import Register
+
+    Rules = tuple[RuleName, ...]
 
 MAIN_OUT, MAIN_IN = SYNC_MANAGERS
 DATA_OUT, DATA_IN = PROCESS_DATA
@@ -65,14 +67,31 @@ _TRIES: Final = 64
 """Maximum number of waits before a device counts as never coming to rest."""
 
 
+_RECORDED: Final = (
+    "steps",
+    "_draft",
+    "_cycled",
+    "_waiting",
+    "_unread",
+    "_rests",
+    "_peeks",
+    "_looks",
+    "_since",
+    "_full_before",
+    "_rules_told",
+    "_states",
+)
+"""What a recorder has of its case besides what a session has."""
+
+
 class RestlessError(Exception):
     """A case after which the virtual SubDevice does not come to rest: it has no vector."""
 
 
-class Recorder(Session):
+class Recorder(SnapshotSession):
     """A session with the virtual SubDevice that keeps what was done and what may be seen."""
 
-    def __init__(self, adapter: Adapter, model: Model, oracle: Oracle) -> None:
+    def __init__(self, adapter: Restorable, model: Model, oracle: Oracle) -> None:
         """Take what a session takes; the device goes the ways that the vectors are to go."""
         super().__init__(adapter, model, oracle)
         self.steps: list[Step] = []
@@ -98,6 +117,28 @@ class Recorder(Session):
         """What explains something that is only seen where the device did something by itself."""
         low, width = model.codec.place(MAILBOX, COUNTER)
         self._counter_bits = (1 << width) - 1 << low
+
+    # --- points to go back to ---------------------------------------------------------------------
+
+    def snapshot(self) -> SessionSnapshot:
+        """Give what the session is now in its case, and what was recorded of it."""
+        recorded = {name: _apart(getattr(self, name)) for name in _RECORDED}
+        return SessionSnapshot({**super().snapshot().values, **recorded})
+
+    def restore(self, snapshot: SessionSnapshot) -> None:
+        """Be as the session was then."""
+        values = dict(snapshot.values)
+        for name in _RECORDED:
+            setattr(self, name, _apart(values.pop(name)))
+        super().restore(SessionSnapshot(values))
+
+    def _begun_with(
+        self,
+        choices: Mapping[str, str],
+        objects: Mapping[ObjectKey, bytes],
+        cold: bool,  # noqa: FBT001
+    ) -> Hashable:
+        return super()._begun_with(choices, objects, cold), self.acknowledges
 
     # --- what is done -----------------------------------------------------------------------------
 
@@ -313,22 +354,32 @@ class Recorder(Session):
         exchange: Exchange,
         make: Callable[[Oracle, Exchange], Expected | None],
     ) -> _Made:
-        """Give what `make` gives; where the device rests it depends on its state alone."""
-        found = before.expanded(exchange.time)
-        self._besides = {}
-        if not self._peeks and any(p.since <= exchange.time for c in found for p in c.inbox):
-            return _Made(make(before, exchange), tuple(self._besides.items()))
+        """Give what `make` gives, which is the same whenever the same is looked at.
+
+        What is kept has times from now on, and the rules since the last step.
+        """
+        found, time, told = before.expanded(exchange.time), exchange.time, self._rules_told
+
+        def from_now(explanations: Explanations) -> tuple[tuple[Candidate, Rules], ...]:
+            return tuple((_later(c, -time), rules[told:]) for c, rules in explanations.items())
+
         key = (
-            frozenset((c.state, c.outbox, c.loose, len(c.inbox), c.last, c.ready) for c in found),
+            from_now(found),
+            make.__name__,
             exchange.span(),
             exchange.data,
             exchange.working_counter,
             self._peeks,
+            self.acknowledges,
         )
         if key not in self._kept:
-            made = _Made(make(before, exchange), tuple(self._besides.items()))
-            self._kept.keep(key, made)
-        return self._kept[key]
+            self._besides = {}
+            expected = make(before, exchange)
+            self._kept.keep(key, _Made(expected, from_now(self._besides)))
+        made = self._kept[key]
+        earlier = next(iter(before.candidates.values()), ())[:told]
+        besides = tuple((_later(c, time), earlier + rules) for c, rules in made.besides)
+        return _Made(made.expected, besides)
 
     def _fullness(self, before: Oracle, exchange: Exchange, *, full: bool) -> Full:
         other = self._status_read(exchange, full=not full)
@@ -378,7 +429,7 @@ class Recorder(Session):
 
         def shown(content: bytes) -> list[Exchange]:
             whole = content[:length].ljust(length, b"\0")
-            return [full, Exchange(exchange.time, False, start, whole, 1)]  # noqa: FBT003
+            return [Exchange(exchange.time, False, start, whole, 1)]  # noqa: FBT003
 
         forms: dict[Form, None] = {}
         for candidate in self._possible(before, exchange):
@@ -389,14 +440,14 @@ class Recorder(Session):
                 else:
                     made = message_forms(self.model, candidate.state, output, observed, COUNTER)
                     forms |= dict.fromkeys(f for form in made if (f := form.within(length)))
-        return self._allowed(before, forms, data, shown, self._counter_bits)
+        waits = before.fork()
+        if not waits.allows(full):
+            return []
+        return self._allowed(waits, forms, data, shown, self._counter_bits)
 
     def _possible(self, before: Oracle, exchange: Exchange) -> Explanations:
         """Give the explanations, with what a device may have done by itself."""
-        other = before.fork()
-        expanded = other.expanded(exchange.time)
-        other.candidates = surprised(self.model, expanded, exchange.time, other.raised)
-        return other.expanded(exchange.time)
+        return before.possible(exchange.time)
 
     def _size(self, data: bytes) -> int:
         """Give the bytes of a message: what follows is never compared."""
@@ -535,9 +586,8 @@ class Recorder(Session):
         Where a device may come from what was recorded to this by itself, it may go on with both.
         """
         other = before.fork()
-        for exchange in exchanges:
-            if other.observe(exchange) is not None:
-                return None
+        if not all(map(other.allows, exchanges)):
+            return None
         if self._peeks or _alike(other.candidates) == _alike(self.oracle.candidates):
             return "passes"
         possible = self._possible(self.oracle, exchanges[-1]) if self.model.own else {}
@@ -558,6 +608,28 @@ def _allowed(size: int, raw: int, free: int, effect: Effect, least: int | None =
     mask = (1 << size * _BYTE) - 1 & ~free
     value = (raw & mask).to_bytes(size, "little").hex()
     return Allowed(value, mask.to_bytes(size, "little").hex(), effect, least)
+
+
+def _later(candidate: Candidate, by: int) -> Candidate:
+    """Give an explanation with all its times later, in microseconds."""
+    inbox = tuple(
+        msgspec.structs.replace(p, deadline=p.deadline + by, since=p.since + by)
+        for p in candidate.inbox
+    )
+    return msgspec.structs.replace(candidate, inbox=inbox, ready=candidate.ready + by)
+
+
+def _apart(value: object) -> object:
+    """Give a value that does not change with the one in a recorder."""
+    match value:
+        case list() | dict():
+            return value.copy()
+        case _Draft():
+            return replace(value, expect=[*value.expect])
+        case (Oracle() as oracle, int(time)):
+            return oracle.fork(), time
+        case _:
+            return value
 
 
 def _alike(candidates: Iterable[Candidate]) -> frozenset[Candidate]:
@@ -590,7 +662,7 @@ class _Made:
     """An expectation, and explanations besides those of what was recorded that go on with it."""
 
     expected: Expected | None
-    besides: tuple[tuple[Candidate, tuple[RuleName, ...]], ...] = ()
+    besides: tuple[tuple[Candidate, Rules], ...] = ()
 
 
 @dataclass(slots=True)

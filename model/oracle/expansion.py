@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ecatspec.model.core.compilation import MAILBOX
@@ -56,6 +56,8 @@ class Grown:
     found: Explanations
     since: int
     until: float
+    surprised: dict[int, Grown] = field(default_factory=dict)
+    """What they grow to once the device did something by itself, by the time (us) of a look."""
 
     def of(self, explanations: Explanations, time: int) -> bool:
         """Tell whether these are what `explanations` grow to at `time`."""

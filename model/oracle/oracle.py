@@ -201,6 +201,12 @@ class Oracle:
                 self._idle.add(look)
         return mismatch
 
+    def allows(self, exchange: Exchange) -> bool:
+        """Take one exchange into account; tell whether it is allowed, without saying why not."""
+        if exchange.write:
+            return self._write(exchange) is None
+        return self._judge(exchange) is None or self._allowed_by_accident(exchange)
+
     def _diagnosed(self, exchange: Exchange, found: Contradiction) -> Mismatch:
         since = self._right.get(exchange.span(), max(self._right.values(), default=0))
         mismatch, self._overlooking = diagnosed(self.model, exchange, found, since)
@@ -265,20 +271,46 @@ class Oracle:
         found = self._judge(exchange)
         if found is None:
             return None
-        kept, lost = self.candidates, self.lost
-        for _ in range(_SURPRISES):
-            before = self.expanded(exchange.time)
-            self.candidates = surprised(self.model, before, exchange.time, self.raised)
-            if self._judge(exchange) is None:
-                if self.known.surprises() and self._suspicion is None:
-                    self._suspicion = self._diagnosed(exchange, found)
-                    self._overlooking = None
-                return None
+        if self._allowed_by_accident(exchange):
+            if self.known.surprises() and self._suspicion is None:
+                self._suspicion = self._diagnosed(exchange, found)
+                self._overlooking = None
+            return None
         # what was taken for an accident at first was the deviation
-        self.candidates, self.lost = kept, lost
         suspicion = self._suspicion if self.known.surprises() else None
         mismatch = self._diagnosed(exchange, found)
         return mismatch if suspicion is None else replace(suspicion, clear=False)
+
+    def _allowed_by_accident(self, exchange: Exchange) -> bool:
+        """Tell whether a read is allowed once something happened by itself; go on with that."""
+        kept, lost = self.candidates, self.lost
+        for _ in range(_SURPRISES):
+            self._surprise(exchange.time)
+            if self._judge(exchange) is None:
+                return True
+        self.candidates, self.lost = kept, lost
+        return False
+
+    def possible(self, time: int) -> Explanations:
+        """Give all explanations, with what the device may have done by itself until then."""
+        other = self.fork()
+        other._surprise(time)  # noqa: SLF001  it is one of these
+        return other.expanded(time)
+
+    def _surprise(self, time: int) -> None:
+        """Go on with what the device may have done by itself too; forks work it out once."""
+        before, known = self.expanded(time), self._grown
+        if known is None or known.found is not before:
+            self.candidates = surprised(self.model, before, time, self.raised)
+            return
+        if time not in known.surprised:
+            self.candidates = surprised(self.model, before, time, self.raised)
+            self.expanded(time)
+            if self._grown is None or self._grown.source is not self.candidates:
+                return  # too many to follow
+            known.surprised[time] = self._grown
+        self._grown = known.surprised[time]
+        self.candidates = self._grown.source
 
     def _judge(self, exchange: Exchange) -> Contradiction | None:
         """Judge a read by what was asked of the device; it did nothing by itself."""

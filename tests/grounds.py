@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.case import NO_LIMITS, Case
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.core.compilation import Model
@@ -24,7 +24,6 @@ from ecatspec.spec.language.load import device_names, load_device
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from ecatspec.conformance.run.runner import Runner
 
 DEPTH = "quick"
 SMALL = "40"
@@ -110,7 +109,7 @@ class Suite:
 
     def runner(self, options: dict[str, str]) -> Runner:
         adapter = make(self.ground.device, self.options | options)
-        return resumed(self.model, adapter)
+        return Runner(self.model, adapter, adapter.describe())
 
     def ordered(self, fault: Fault) -> list[Case]:
         """Likely cases first, then those that go by rare rules of the fault: short, then long."""

@@ -8,13 +8,13 @@ from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
 import pytest
-from resumed import resumed
 from seeds import printed_twice
 
 pytest.importorskip("z3")
 
-from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
+from ecatspec.conformance.adapters.model import SnapshotAdapter, described, make
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.bringup import way_to
 from ecatspec.generators.cases.case import NO_LIMITS, Probe, SendFrame
 from ecatspec.generators.cases.play import play
@@ -187,7 +187,7 @@ def test_a_message_is_followed_by_a_proof_that_the_device_lives() -> None:
 @pytest.mark.parametrize("device", [DEVICE, "kollmorgen-akd"])
 def test_a_sound_device_passes_every_case(device: str) -> None:
     adapter = make(device, {})
-    runner = resumed(Model(load_device(device)), adapter)
+    runner = Runner(Model(load_device(device)), adapter, adapter.describe())
     cases = covered(device).cases
     assert len(cases) > 200
     verdicts = [runner.executor.judge(case) for case in cases]
@@ -197,15 +197,15 @@ def test_a_sound_device_passes_every_case(device: str) -> None:
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_planted_fault_is_found(fault: str) -> None:
     adapter = make(DEVICE, {"fault": fault})
-    runner = resumed(Model(load_device(DEVICE)), adapter)
+    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
     assert any(runner.executor.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
 
 
 @pytest.mark.parametrize(("definition", "old", "new"), OFF_BY_ONE)
 def test_a_comparison_that_is_off_by_one_is_found(definition: str, old: str, new: str) -> None:
     wrong = off_by_one(load_device(DEVICE), definition, old, new)
-    adapter = VirtualAdapter(VirtualSubDevice(wrong), described(wrong))
-    runner = resumed(Model(load_device(DEVICE)), adapter)
+    adapter = SnapshotAdapter(VirtualSubDevice(wrong), described(wrong))
+    runner = Runner(Model(load_device(DEVICE)), adapter, adapter.describe())
     assert any(runner.executor.judge(case).outcome in BLAMING for case in covered(DEVICE).cases)
 
 

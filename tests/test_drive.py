@@ -9,9 +9,8 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import pytest
-from resumed import resumed
 
-from ecatspec.conformance.adapters.model import VirtualAdapter, make
+from ecatspec.conformance.adapters.model import SnapshotAdapter, VirtualAdapter, make
 from ecatspec.conformance.base.adapter import AdapterError, Description, raise_local
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.conformance.capture.monitor import monitor_file
@@ -189,10 +188,11 @@ def unpinned() -> Model:
 
 
 def blamed(device: VirtualSubDevice, tried: Iterable[Case]) -> list[str]:
-    adapter = VirtualAdapter(device, description(REFERENCE))
     # a snapshot has no part of what a device of a test holds beside
     plain = type(device) is VirtualSubDevice
-    run = resumed(unpinned(), adapter) if plain else Runner(unpinned(), adapter, adapter.describe())
+    kind = SnapshotAdapter if plain else VirtualAdapter
+    told = description(REFERENCE)
+    run = Runner(unpinned(), kind(device, told), told)
     verdicts = [run.executor.judge(each) for each in tried]
     return [f"{v.case}: {v.observed} {v.clauses}" for v in verdicts if v.outcome in BLAMING]
 

@@ -7,11 +7,10 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import pytest
-from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.base.verdict import Outcome
-from ecatspec.conformance.run.runner import run_device
+from ecatspec.conformance.run.runner import Runner, run_device
 from ecatspec.generators.cases.case import NO_LIMITS, Limits
 from ecatspec.generators.cases.case_codec import case_of
 from ecatspec.generators.complete.machines import ALL_EVENTS
@@ -20,7 +19,6 @@ from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from ecatspec.conformance.run.runner import Runner
     from ecatspec.generators.covers.finite_cover import Complete
 
 DRIVE = "reference-drive"
@@ -43,7 +41,7 @@ def suites(device: str, depth: str, most: int = 2) -> tuple[Complete, ...]:
 
 def runner_of(device: str, fault: str = "") -> Runner:
     adapter = make(device, {"fault": fault} if fault else {})
-    return resumed(Model(load_device(device)), adapter)
+    return Runner(Model(load_device(device)), adapter, adapter.describe())
 
 
 def test_a_quick_run_has_no_complete_suites() -> None:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 import pytest
 from grounds import GROUNDS, REFERENCE, Ground, apart, suite
-from resumed import resumed
 
-from ecatspec.conformance.adapters.model import VirtualAdapter, described
+from ecatspec.conformance.adapters.model import SnapshotAdapter, described
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.base.verdict import FOUND, SUB_DEVICE
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.bringup import case_in, request
 from ecatspec.generators.cases.case import Case, WriteRegister
 from ecatspec.model.esc.subdevice import VirtualSubDevice
@@ -22,7 +22,6 @@ from ecatspec.spec.language.parse import parse_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from ecatspec.conformance.run.runner import Runner
     from ecatspec.generators.cases.case import Stimulus
     from ecatspec.model.core.compilation import Model
 
@@ -76,10 +75,10 @@ def place_of(freedom: Fault) -> Ground:
     return PLACES.get(Path(freedom.at.file).stem, REFERENCE)
 
 
-def free_device(ground: Ground, freedom: Fault) -> VirtualAdapter:
+def free_device(ground: Ground, freedom: Fault) -> SnapshotAdapter:
     """Give the device of a ground that goes another way, as it is allowed to."""
     protocol = plant(load(ground.device, ground.mailbox), freedom)
-    return VirtualAdapter(VirtualSubDevice(protocol), described(protocol))
+    return SnapshotAdapter(VirtualSubDevice(protocol), described(protocol))
 
 
 def shown(runner: Runner, case: Case) -> list[tuple[str, bytes]]:
@@ -98,7 +97,8 @@ def test_a_device_that_goes_a_free_way_is_not_blamed(name: str) -> None:
     freedom = FREEDOMS[name]
     made = suite(place_of(freedom))
     assert not made.blamed
-    sound, free = made.runner({}), resumed(made.model, free_device(made.ground, freedom))
+    adapter = free_device(made.ground, freedom)
+    sound, free = made.runner({}), Runner(made.model, adapter, adapter.describe())
     own = [OWN[name](made.model)] if name in OWN else []
     cases = [*own, *made.ordered(freedom)[:ENOUGH]]
     blamed = [v for v in map(free.executor.judge, cases) if v.outcome in FOUND]

@@ -8,14 +8,14 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
-from resumed import Resumed, resumed
 
-from ecatspec.conformance.adapters.model import VirtualAdapter, make
+from ecatspec.conformance.adapters.model import SnapshotAdapter, make
 from ecatspec.conformance.base.adapter import Description
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.base.verdict import Outcome
 from ecatspec.conformance.run.dut_knowledge import SHAPE
 from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.snapshot_session import SnapshotSession
 from ecatspec.generators.cases.bringup import has_process_data
 from ecatspec.generators.cases.case import (
     NO_LIMITS,
@@ -395,7 +395,29 @@ class Fired:
     blamed: list[str] = field(default_factory=list)
 
 
-class Excited(VirtualAdapter):
+class Listened(SnapshotAdapter):
+    """A device with the rules that fired in it since power-on."""
+
+    def __init__(self, device: VirtualSubDevice, told: Description, inside: set[str]) -> None:
+        super().__init__(device, told)
+        self.inside = inside
+
+    def reset(self) -> None:
+        self.inside.clear()
+        super().reset()
+
+    def snapshot(self) -> object:
+        return super().snapshot(), frozenset(self.inside)
+
+    def restore(self, snapshot: object) -> None:
+        assert isinstance(snapshot, tuple)
+        device, inside = snapshot
+        super().restore(device)
+        self.inside.clear()
+        self.inside.update(inside)
+
+
+class Excited(Listened):
     """A device that has something to report once its mailbox works, and before that."""
 
     def write(self, address: int, data: bytes) -> int:
@@ -470,22 +492,20 @@ class Sweep:
         way: Way,
         *,
         closed: bool = True,
-        adapter: Callable[[VirtualSubDevice, Description], VirtualAdapter] = VirtualAdapter,
+        adapter: type[Listened] = Listened,
     ) -> None:
         shape = Description(
             "a device", frozenset(MACHINES), virtual_time=True, closed_dictionary=closed
         )
         device = VirtualSubDevice(changed(self.protocol, way))
-        reached = adapter(device, shape)
-        runner = resumed(self.oracle, reached, self.inside)
+        runner = Runner(self.oracle, adapter(device, shape, self.inside), shape)
         takes_none = way.get("value_accepted") is False
         for case in cases:
             if takes_none and case.name.startswith("sdo/takes"):
                 continue  # it is blamed there, and rightly
-            self.inside.clear()
             runner.known.rules = set()
             verdict = runner.executor.judge(case)
-            assert isinstance(runner.executor.session, Resumed)
+            assert isinstance(runner.executor.session, SnapshotSession)
             runner.executor.session.arrive()
             if verdict.outcome not in {Outcome.PASS, Outcome.INCONCLUSIVE}:
                 self.fired.blamed.append(f"{way} {case.name}: {verdict.outcome} {verdict.reason}")

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
-from resumed import resumed
 
-from ecatspec.conformance.adapters.model import VirtualAdapter
+from ecatspec.conformance.adapters.model import SnapshotAdapter
 from ecatspec.conformance.base.adapter import Description
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.core.compilation import Model
@@ -19,7 +19,6 @@ from ecatspec.spec.language.load import load_file
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ecatspec.conformance.run.runner import Runner
     from ecatspec.spec.language.ir import Protocol
 
 LIMITED = """
@@ -54,8 +53,8 @@ def runner(text: Protocol, device: Protocol) -> Runner:
     """Judge by `text` the virtual SubDevice of `device`."""
     model = Model(text)
     description = Description("small", frozenset(text.machines), *(True, True))
-    adapter = VirtualAdapter(VirtualSubDevice(device), description)
-    judge = resumed(model, adapter)
+    adapter = SnapshotAdapter(VirtualSubDevice(device), description)
+    judge = Runner(model, adapter, adapter.describe())
     cases = [
         c for c in all_cases(model, NO_LIMITS, "quick") if c.layer not in {"al", "process_data"}
     ]

@@ -8,11 +8,12 @@ import re
 import shutil
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache, partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import msgspec
 import pytest
@@ -25,6 +26,7 @@ from ecatspec.conformance.base.devices import UserError, going, load
 from ecatspec.conformance.base.verdict import Outcome
 from ecatspec.conformance.run.dut_knowledge import SHAPE
 from ecatspec.conformance.run.runner import Runner
+from ecatspec.conformance.run.worker_pools import Died
 from ecatspec.conformance.vectors import export as exporting
 from ecatspec.conformance.vectors.export import OTHER_WAYS, Wanted, export
 from ecatspec.conformance.vectors.replay import Player
@@ -58,6 +60,7 @@ SAMPLE = 80
 RUNNER = Path(c_format.__file__).with_name("runner.h")
 OFTEN = 8
 DRIVE, PLAIN = "kollmorgen-akd", "reference"
+TERMINAL = "beckhoff-el6720"
 REAL = tuple(name for name in device_names() if load_device(name).manuals)
 
 
@@ -202,6 +205,48 @@ def test_the_same_input_gives_the_same_bytes() -> None:
     ]
     assert files[0] == files[1]
     assert files[0]
+
+
+def written(monkeypatch: pytest.MonkeyPatch, workers: int) -> bytes:
+    every = all_cases
+    with monkeypatch.context() as patch:
+        patch.setattr(exporting, "all_cases", lambda *a: islice(every(*a), 0, None, 80))
+        patch.setattr(exporting, "_ALONE", 5)
+        patch.setattr(exporting, "_SHARD", 7)
+        out = io.BytesIO()
+        exporting.export(Wanted(PLAIN, "quick", ("sdo", "al")), "json", out, workers=workers)
+    return out.getvalue()
+
+
+def test_any_number_of_workers_gives_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert written(monkeypatch, 2) == written(monkeypatch, 1)
+
+
+def test_what_a_dead_worker_had_is_recorded_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Dead:
+        def result(self) -> NoReturn:
+            raise Died
+
+    class Pool:
+        def submit(self, *_: object) -> Dead:
+            return Dead()
+
+    alone = written(monkeypatch, 1)
+    monkeypatch.setattr(exporting, "process_pool", lambda *_: nullcontext(Pool()))
+    assert written(monkeypatch, 2) == alone
+
+
+def test_a_test_is_the_same_wherever_it_comes() -> None:
+    """The times and the rules of cases before it leave nothing behind."""
+    cases = list(all_cases(Model(load(TERMINAL)), NO_LIMITS, "quick"))
+    cases = [case for case in cases if case.layer == "process_data"]
+    orders = cases, cases[::-1]
+    found = []
+    for order in orders:
+        made = exporting.Export(Wanted(TERMINAL, "quick"))
+        made.configure()
+        found.append({case.name: made.play(case) for case in order})
+    assert found[0] == found[1]
 
 
 # --- what is refused ------------------------------------------------------------------------------

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, get_args
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from resumed import resumed
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.conformance.run.dut_knowledge import SHAPE
+from ecatspec.conformance.run.runner import Runner
 from ecatspec.conformance.run.shrink import shortest
 from ecatspec.generators.cases.bringup import WAY_UP
 from ecatspec.generators.cases.case import (
@@ -53,7 +53,6 @@ from ecatspec.model.esc.esc import SYNC_MANAGERS
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ecatspec.conformance.run.runner import Runner
 
 DEVICES = (
     "reference",
@@ -89,7 +88,7 @@ def walked(device: str, seed: int, steps: int = STEPS, limits: Limits = NO_LIMIT
 
 def runner_of(device: str, fault: str = "") -> Runner:
     adapter = make(device, {"fault": fault} if fault else {})
-    return resumed(model_of(device), adapter)
+    return Runner(model_of(device), adapter, adapter.describe())
 
 
 # --- walks ----------------------------------------------------------------------------------------

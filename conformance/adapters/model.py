@@ -106,7 +106,7 @@ class VirtualAdapter:
 class SnapshotAdapter(VirtualAdapter):
     """The contract over a virtual SubDevice that is all that there is of the device."""
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> object:
         """Give what the device is now."""
         return self._device.snapshot()
 

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import os
+
 import click
 
 from ecatspec.conformance.cli.console import output_file, progress_bar, warn
 from ecatspec.conformance.cli.device_run import set_up_errors
 from ecatspec.conformance.cli.exit_status import CONFORMS
-from ecatspec.conformance.cli.options import MAILBOX, SEED, example, layers, way_of_choice
+from ecatspec.conformance.cli.options import (
+    MAILBOX,
+    MOST_WORKERS,
+    SEED,
+    example,
+    layers,
+    way_of_choice,
+)
 from ecatspec.generators.cases.depths import DEPTHS
 from ecatspec.generators.formats import FORMATS
 
@@ -37,6 +46,9 @@ from ecatspec.generators.formats import FORMATS
     metavar="NAME=WAY",
     help="The device goes this way where its text leaves a choice open, or meets a condition.",
 )
+@click.option(
+    "--workers", type=click.IntRange(1, MOST_WORKERS), help="Processes; all processors without it."
+)
 @MAILBOX
 @SEED
 def export(
@@ -47,6 +59,7 @@ def export(
     depth: str,
     only: str,
     choices: tuple[str, ...],
+    workers: int | None,
     mailbox: str,
     seed: int,
 ) -> int:
@@ -62,7 +75,7 @@ def export(
     wanted = Wanted(device, depth, layers(only), mailbox, seed, dict(map(way_of_choice, choices)))
     with set_up_errors("export"), output_file(output, text=FORMATS[form].text) as out:
         with progress_bar() as progress:
-            made = write(wanted, form, out, progress)
+            made = write(wanted, form, out, progress, workers=workers or os.cpu_count() or 1)
         out.flush()
         said = f"{made.number} tests"
         if made.restless:

@@ -27,6 +27,8 @@ EXAMPLES: Final = {
     "simulate": "ecatspec simulate kollmorgen-akd --iface veth1",
 }
 
+MOST_WORKERS: Final = 256
+
 
 def example(command: str) -> str:
     """Give the last line of the help of a command."""

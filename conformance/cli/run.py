@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import click
 
 from ecatspec.conformance.cli.console import draft_file, refuse
 from ecatspec.conformance.cli.device_run import journal_opener, run_with_progress, set_up_errors
-from ecatspec.conformance.cli.options import DUT, HANG_TIMEOUT, MAILBOX, SEED, example, layers
+from ecatspec.conformance.cli.options import (
+    DUT,
+    HANG_TIMEOUT,
+    MAILBOX,
+    MOST_WORKERS,
+    SEED,
+    example,
+    layers,
+)
 from ecatspec.conformance.cli.report_output import print_report, report_files, report_options
 from ecatspec.generators.cases.depths import DEPTHS
-
-MOST_WORKERS: Final = 256
 
 
 @click.command(epilog=example("run"))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import tempfile
+from collections import deque
 from dataclasses import dataclass, field
+from itertools import chain, groupby, islice
 from typing import TYPE_CHECKING, Final
 
 import msgspec
@@ -22,6 +24,7 @@ from ecatspec.conformance.base.version import version
 from ecatspec.conformance.run.dut_knowledge import SHAPE, shape_of
 from ecatspec.conformance.run.runner import WALK, WALKS
 from ecatspec.conformance.run.session import Deviation, InconclusiveError
+from ecatspec.conformance.run.worker_pools import Died, process_pool
 from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
 from ecatspec.generators.cases.assignment import at_power_on, read_configuration
 from ecatspec.generators.cases.bringup import has_process_data, way_to
@@ -64,16 +67,23 @@ from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from typing import IO
 
     from ecatspec.conformance.run.runner import Progress
+    from ecatspec.conformance.run.worker_pools import Answer
     from ecatspec.generators.covers.finite_cover import Complete
     from ecatspec.generators.vectors.schema import Step
     from ecatspec.model.core.values import ObjectKey
     from ecatspec.spec.language.ir import Protocol
 
 _BYTE: Final = 8
+_ALONE: Final = 200
+"""Number of cases that are recorded before workers are started."""
+_SHARD: Final = 16
+"""Cases that a worker gets at once: neighbours begin alike."""
+_AHEAD: Final = 2
+"""Shards under way for each worker: one is recorded, one waits."""
 OTHER_WAYS: Final = "other_ways"
 _OTHER_WAYS: Final = (
     "Somewhere the texts allow more than one way, and the test goes on with one of them only; a"
@@ -102,12 +112,34 @@ class Wanted:
     choices: Mapping[str, str] = field(default_factory=dict, hash=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What became of a case."""
+
+    test: Test | None
+    """None: the virtual SubDevice does not come to rest in it."""
+    cut: bool
+    """The test ends early, because a device may do too much from there on."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Planned:
+    """A case, its number among those that progress counts with it, and the suite it is of."""
+
+    case: Case
+    number: int
+    total: int
+    suite: Complete | None = None
+
+
 @dataclass(slots=True)
 class Export:
     """The suite of one device; tests are made when asked for."""
 
     wanted: Wanted
     progress: Progress | None = None
+    workers: int = 1
+    """Processes that record; the tests are the same for any number."""
     guarantees: list[Guarantee] = field(default_factory=list)
     number: int = 0
     flags: set[str] = field(default_factory=set)
@@ -163,19 +195,64 @@ class Export:
             MissingSolverError: The boundaries of `exhaustive` need the solver.
 
         """
-        for number, case in enumerate(fixed := self._fixed()):
-            self._tell(number, len(fixed), case.name)
-            yield from self._test(case)
+        for suite, found in groupby(self._played(), key=lambda played: played[0].suite):
+            first, whole = None, True
+            for planned, recorded in found:
+                first = first or planned.case.name.rpartition("/")[0]
+                whole = whole and recorded.test is not None and not recorded.cut
+                test = self._take(planned.case, recorded)
+                if test is not None:
+                    yield planned.case.layer, test
+            if suite is not None and first is not None and whole:
+                made = suite.suite
+                self.guarantees.append(
+                    Guarantee(f"{first}/*", made.method.value, made.m, made.k, made.checked.value)
+                )
+
+    def _planned(self) -> Iterator[_Planned]:
+        """Yield the cases in the order of the file."""
+        fixed = self._fixed()
+        for number, case in enumerate(fixed):
+            yield _Planned(case, number, len(fixed))
         for suite in complete_suites(
             self._model, NO_LIMITS, self._locals, self._ways, self.wanted.depth
         ):
-            yield from self._complete(suite)
-        for number in range(WALKS[self.wanted.depth]):
+            if not self.wanted.only or suite.layer in self.wanted.only:
+                for number, case in enumerate(suite.cases()):
+                    yield _Planned(case, number, suite.suite.tests, suite)
+        walks = WALKS[self.wanted.depth]
+        for number in range(walks):
             seed = self.wanted.seed + number
-            self._tell(number, WALKS[self.wanted.depth], f"walk {seed}")
             case = walk(self._model, NO_LIMITS, self._locals, seed, WALK)
             if not self.wanted.only or case.layer in self.wanted.only:
-                yield from self._test(case)
+                yield _Planned(case, number, walks)
+
+    def _played(self) -> Iterator[tuple[_Planned, Recorded]]:
+        """Record the cases, here or by workers once there are enough of them."""
+        planned = self._planned()
+        for each in islice(planned, None if self.workers == 1 else _ALONE):
+            self._tell(each.number, each.total, each.case.name)
+            yield each, self.play(each.case)
+        if (following := next(planned, None)) is None:
+            return
+        test_of = msgspec.json.Decoder(Test | None).decode
+        with process_pool(self.workers, _release) as pool:
+            left = chain([following], planned)
+            shards = iter(lambda: list(islice(left, _SHARD)), [])
+            waiting: deque[tuple[list[_Planned], Answer]] = deque()
+            while True:
+                for shard in islice(shards, self.workers * _AHEAD - len(waiting)):
+                    cases = [each.case for each in shard]
+                    waiting.append((shard, pool.submit(_recorded, self.wanted, cases)))
+                if not waiting:
+                    return
+                shard, answer = waiting.popleft()
+                try:
+                    found = [Recorded(test_of(made), cut) for made, cut in answer.result()]
+                except Died:
+                    found = [self.play(each.case) for each in shard]
+                self._tell(shard[-1].number, shard[-1].total, shard[-1].case.name)
+                yield from zip(shard, found, strict=True)
 
     def _fixed(self) -> list[Case]:
         """Give the cases that do not depend on the device; the configuration first."""
@@ -193,30 +270,25 @@ class Export:
     def configure(self) -> None:
         """Take for granted what a device has assigned and mapped, as the first test shows it."""
         for case in self._configuration():
-            self.record(case)
-
-    def _complete(self, suite: Complete) -> Iterator[tuple[str, Test]]:
-        if self.wanted.only and suite.layer not in self.wanted.only:
-            return
-        first, cut, restless = None, len(self.cut), len(self.restless)
-        for number, case in enumerate(suite.cases()):
-            self._tell(number, suite.suite.tests, case.name)
-            first = first or case.name.rpartition("/")[0]
-            yield from self._test(case)
-        made = suite.suite
-        whole = len(self.cut) == cut and len(self.restless) == restless
-        if first is not None and whole:
-            self.guarantees.append(
-                Guarantee(f"{first}/*", made.method.value, made.m, made.k, made.checked.value)
-            )
-
-    def _test(self, case: Case) -> Iterator[tuple[str, Test]]:
-        test = self.record(case)
-        if test is not None:
-            yield case.layer, test
+            self.play(case)
 
     def record(self, case: Case) -> Test | None:
         """Give the test that a case becomes; None: the virtual SubDevice comes to no rest in it."""
+        return self._take(case, self.play(case))
+
+    def _take(self, case: Case, recorded: Recorded) -> Test | None:
+        """Number a test, and note what became of its case."""
+        if recorded.cut:
+            self.cut.append(case.name)
+        if recorded.test is None:
+            self.restless.append(case.name)
+            return None
+        self.number += 1
+        self.flags |= set(recorded.test.flags)
+        return msgspec.structs.replace(recorded.test, tcId=self.number)
+
+    def play(self, case: Case) -> Recorded:
+        """Record a case as a test without a number."""
         requires = bool(self._objects) and _rests_on_configuration(case)
         repeats = any(isinstance(stimulus, Repeat) for stimulus in case.stimuli)
         self._recorder.acknowledges = repeats or case.layer == MAILBOX
@@ -225,24 +297,20 @@ class Export:
             for stimulus in case.stimuli:
                 self._recorder.apply(stimulus)
                 if self._recorder.oracle.lost:
-                    self.cut.append(case.name)  # what would follow says nothing
-                    break
+                    break  # what would follow says nothing
         except (Deviation, InconclusiveError, RestlessError):
-            self.restless.append(case.name)
-            return None
+            return Recorded(None, cut=False)
         if case.name == CONFIGURATION:
             known = self._recorder.oracle.known.example().objects
             self._objects = at_power_on(self._model, known.items())
-        self.number += 1
         steps = self._recorder.steps
         flags = [case.flag] if case.flag else []
         if ends := any(step.can_end for step in steps):
             flags.append(OTHER_WAYS)
-        self.flags |= set(flags)
         rules = dict.fromkeys(rule for step in steps for rule in step.covers)
         clauses = {c for rule in rules for c in self._rules().get(rule, [])}
-        return Test(
-            tcId=self.number,
+        test = Test(
+            tcId=1,  # until it has its place
             id=case.name,
             comment=case.title,
             steps=steps,
@@ -252,6 +320,7 @@ class Export:
             requires=requires,
             clauses=sorted(clauses or self._clauses_of_reads(steps)),
         )
+        return Recorded(test, cut=self._recorder.oracle.lost)
 
     def _clauses_of_reads(self, steps: Iterable[Step]) -> set[str]:
         """Give the clauses of the registers that are read: of what no rule has led to."""
@@ -374,7 +443,33 @@ def _rests_on_configuration(case: Case) -> bool:
     return case.layer != "sdo" or any(isinstance(stimulus, kinds) for stimulus in case.stimuli)
 
 
-def export(wanted: Wanted, form: str, out: IO[bytes], progress: Progress | None = None) -> Export:
+class _Desk:
+    """The export of this worker process."""
+
+    export: Export | None = None
+
+
+def _recorded(wanted: Wanted, cases: Sequence[Case]) -> list[tuple[bytes, bool]]:
+    """Record cases in a worker: tests as JSON, which has what is default as such."""
+    if _Desk.export is None or _Desk.export.wanted != wanted:
+        _Desk.export = Export(wanted)
+        _Desk.export.configure()
+    played = map(_Desk.export.play, cases)
+    return [(msgspec.json.encode(recorded.test), recorded.cut) for recorded in played]
+
+
+def _release() -> None:
+    """Let go of nothing: the device of a worker ends with it."""
+
+
+def export(
+    wanted: Wanted,
+    form: str,
+    out: IO[bytes],
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+) -> Export:
     """Write the vectors of a device in a format; give what was written.
 
     Tests lie in a temporary file until the head is known, so that memory does not grow with them.
@@ -385,7 +480,7 @@ def export(wanted: Wanted, form: str, out: IO[bytes], progress: Progress | None 
         OSError: The file cannot be written.
 
     """
-    made = Export(wanted, progress)
+    made = Export(wanted, progress, workers)
     with tempfile.TemporaryFile() as kept:
         for layer, test in made.tests():
             kept.write(msgspec.json.encode((layer, test)) + b"\n")

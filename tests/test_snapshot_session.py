@@ -6,9 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from resumed import resumed
 
-from ecatspec.conformance.adapters.model import make
+from ecatspec.conformance.adapters.model import VirtualAdapter, make, planted
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.bringup import way_to
@@ -16,6 +15,7 @@ from ecatspec.generators.cases.case import NO_LIMITS, Case
 from ecatspec.generators.cases.transfers import upload
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.core.compilation import Model
+from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
@@ -46,9 +46,11 @@ def judged(runner: Runner, case: Case) -> tuple[Verdict, object]:
 @pytest.mark.parametrize("fault", ["", "toggle_ignored"])
 def test_all_is_as_from_power_on(model: Model, fault: str) -> None:
     options = {"fault": fault} if fault else {}
-    adapters = make(DEVICE, options), make(DEVICE, options)
-    plain = Runner(model, adapters[0], adapters[0].describe())
-    quick = resumed(model, adapters[1])
+    adapter = make(DEVICE, options)
+    told = adapter.describe()
+    quick = Runner(model, adapter, told)
+    protocol, quirks = planted(load_device(DEVICE), fault or None)
+    plain = Runner(model, VirtualAdapter(VirtualSubDevice(protocol, quirks=quirks), told), told)
     outcomes = set()
     for number, case in enumerate(all_cases(model, NO_LIMITS, "quick")):
         if number % STEP and not case.name.startswith("sdo/transfer/wrong"):
@@ -69,7 +71,7 @@ def test_what_is_common_is_done_once(model: Model, monkeypatch: pytest.MonkeyPat
         return write(address, data)
 
     monkeypatch.setattr(adapter, "write", counted)
-    runner = resumed(model, adapter)
+    runner = Runner(model, adapter, adapter.describe())
     way = way_to(model, "PREOP")
     short = Case("sdo/short", "a way", "sdo", way, "PREOP", len(way))
     longer = replace(short, stimuli=(*way, upload(0x1018, 1)))

@@ -19,8 +19,8 @@ from ecatspec.generators.cases.play import play
 from ecatspec.generators.cases.stimulus import frame_bytes
 from ecatspec.generators.cases.transfers import download, upload
 from ecatspec.generators.covers.mailbox_cover import probe_entry
+from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
 from ecatspec.model.esc.data_link import LinkedSubDevice, linked
-from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS
 from ecatspec.model.esc.wire import Wire, wire_format
 from ecatspec.spec.language.load import load_link
 

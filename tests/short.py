@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.run import runner
 from ecatspec.generators.cases.case import NO_LIMITS
-from ecatspec.generators.covers.finite_cover import complete_suites
+from ecatspec.generators.complete.finite_cover import complete_suites
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.core.compilation import Model
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ecatspec.conformance.base.verdict import Result
     from ecatspec.generators.cases.case import Case, Limits
-    from ecatspec.generators.covers.finite_cover import Complete
+    from ecatspec.generators.complete.finite_cover import Complete
 
 SMALL = "reference"
 DRIVE = "reference-drive"

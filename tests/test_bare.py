@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 from ecatspec.model.core.compilation import Model
-from ecatspec.model.esc.esc import field_mask
+from ecatspec.model.core.register_map import field_mask
 from ecatspec.model.esc.stack_harness import BareSubDevice
 from ecatspec.spec.language.load import load_device
 

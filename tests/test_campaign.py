@@ -22,12 +22,12 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described, make
 from ecatspec.conformance.base.adapter import AdapterError, Description
 from ecatspec.conformance.base.devices import UserError, load, pinned
 from ecatspec.conformance.base.verdict import Outcome, Verdict
+from ecatspec.conformance.base.work_items import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.results.run_file import begin, read
 from ecatspec.conformance.run import campaign, runner
 from ecatspec.conformance.run.campaign import Job, Workers, crew, stands
 from ecatspec.conformance.run.dut_knowledge import SHAPE
 from ecatspec.conformance.run.runner import Runner, run_device
-from ecatspec.conformance.run.work_items import Judged, Knowledge, Learned, Search, Trial
 from ecatspec.conformance.run.worker_pools import Died
 from ecatspec.generators.cases.case import NO_LIMITS, Case
 from ecatspec.generators.suite import all_cases
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from ecatspec.conformance.base.adapter import Adapter
-    from ecatspec.conformance.run.work_items import Step
+    from ecatspec.conformance.base.work_items import Step
     from ecatspec.conformance.run.worker_pools import Answer
 
 

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from ecatspec.conformance.base.work_items import Crew
     from ecatspec.conformance.results.known_deviations import Accepted
     from ecatspec.conformance.results.run_file import Basis, Journal
-    from ecatspec.conformance.run.work_items import Crew
     from ecatspec.generators.cases.case import Limits
     from ecatspec.generators.vectors.schema import Test
     from ecatspec.model.core.compilation import Model

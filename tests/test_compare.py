@@ -13,10 +13,10 @@ from short import FAULT, SMALL, shorten
 from ecatspec.conformance import cli
 from ecatspec.conformance.base.devices import UserError, load
 from ecatspec.conformance.base.verdict import Outcome, Verdict
+from ecatspec.conformance.base.work_items import Judged, Learned
 from ecatspec.conformance.results import run_file, run_history
 from ecatspec.conformance.results.compare import as_data, compare, headline, sheets
 from ecatspec.conformance.results.run_file import Basis, FoundWay, Run, begin
-from ecatspec.conformance.run.work_items import Judged, Learned
 
 if TYPE_CHECKING:
     from pathlib import Path

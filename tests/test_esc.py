@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ecatspec.model.core.compilation import Model
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, Esc, field_mask, field_of
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.esc.esc import Esc
 from ecatspec.model.esc.three_buffers import Channel
 from ecatspec.spec.language.load import load_device
 

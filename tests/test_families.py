@@ -11,14 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ecatspec.generators.cases.case import SendFrame
-from ecatspec.generators.cases.stimulus import frame_bytes
-from ecatspec.generators.mutation.message_mutation import (
+from ecatspec.generators.cases.message_mutation import (
     NOTES,
     Family,
     Variant,
     family_of,
     request_frames,
 )
+from ecatspec.generators.cases.stimulus import frame_bytes
 from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Literal, Name, Named, UInt
 from ecatspec.spec.language.load import load_device

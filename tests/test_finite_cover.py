@@ -13,13 +13,13 @@ from ecatspec.conformance.base.verdict import Outcome
 from ecatspec.conformance.run.runner import Runner, run_device
 from ecatspec.generators.cases.case import NO_LIMITS, Limits
 from ecatspec.generators.cases.case_codec import case_of
+from ecatspec.generators.complete.finite_cover import complete_suites
 from ecatspec.generators.complete.machines import ALL_EVENTS
-from ecatspec.generators.covers.finite_cover import complete_suites
 from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.load import load_device
 
 if TYPE_CHECKING:
-    from ecatspec.generators.covers.finite_cover import Complete
+    from ecatspec.generators.complete.finite_cover import Complete
 
 DRIVE = "reference-drive"
 SMALL = "reference"

@@ -28,12 +28,12 @@ from ecatspec.generators.cases.case import (
     WriteRegister,
     WriteRegisters,
 )
+from ecatspec.generators.cases.message_mutation import NOTES
 from ecatspec.generators.cases.play import at_power_on, play
 from ecatspec.generators.cases.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.generators.covers.drive_cover import drive_cover
 from ecatspec.generators.covers.process_cover import process_cover
 from ecatspec.generators.covers.transition_cover import transition_cover
-from ecatspec.generators.mutation.message_mutation import NOTES
 from ecatspec.generators.suite import GENERATORS, all_cases
 from ecatspec.model.core.compilation import Model, rows_of
 from ecatspec.model.esc import subdevice

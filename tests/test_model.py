@@ -21,6 +21,7 @@ from ecatspec.model.core.expressions import Environment, compile_expression
 from ecatspec.model.core.functions import PLAIN
 from ecatspec.model.core.interpreter import step
 from ecatspec.model.core.process_image import OUTPUTS
+from ecatspec.model.core.register_map import field_of
 from ecatspec.model.core.state import Event, State
 from ecatspec.model.core.values import (
     UNKNOWN,
@@ -33,7 +34,7 @@ from ecatspec.model.core.values import (
     concrete,
 )
 from ecatspec.model.core.wording import typed_words
-from ecatspec.model.esc.esc import Esc, field_of
+from ecatspec.model.esc.esc import Esc
 from ecatspec.model.esc.subdevice import Quirk, VirtualSubDevice
 from ecatspec.model.symbolic.terms import counted
 from ecatspec.spec.language.arithmetic import calculated

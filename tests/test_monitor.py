@@ -13,7 +13,7 @@ from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.conformance.capture import monitor
 from ecatspec.conformance.capture.monitor import monitor_file
 from ecatspec.conformance.capture.transactions import CaptureError
-from ecatspec.model.esc.esc import SYNC_MANAGERS
+from ecatspec.model.core.register_map import SYNC_MANAGERS
 from ecatspec.model.oracle.oracle import Oracle
 
 if TYPE_CHECKING:

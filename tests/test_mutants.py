@@ -19,8 +19,8 @@ from ecatspec.conformance.mutation.kill_analysis import analyse
 from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
+from ecatspec.generators.complete.finite_cover import complete_suites
 from ecatspec.generators.complete.suites import state_cover_suite
-from ecatspec.generators.covers.finite_cover import complete_suites
 from ecatspec.generators.mutation.equivalents import Equivalents
 from ecatspec.generators.mutation.mutants import DEFINE, Operator, mutants
 from ecatspec.generators.suite import GENERATORS, all_cases

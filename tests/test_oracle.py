@@ -35,10 +35,10 @@ from ecatspec.generators.cases.transfers import (
     upload_segment,
 )
 from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.register_map import SYNC_MANAGERS
 from ecatspec.model.core.state import Event, Output, RuleName, Step
 from ecatspec.model.core.values import UNKNOWN, Octets, Pattern, Unknown, concrete
 from ecatspec.model.esc import subdevice
-from ecatspec.model.esc.esc import SYNC_MANAGERS
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.explanations import Exchange
 from ecatspec.model.oracle.oracle import Oracle

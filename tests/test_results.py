@@ -18,11 +18,11 @@ from short import DRIVE, FAULT, SMALL, same, shorten
 from ecatspec.conformance import cli
 from ecatspec.conformance.base.devices import UserError, load
 from ecatspec.conformance.base.verdict import Outcome, TraceLine, Verdict
+from ecatspec.conformance.base.work_items import Judged, Learned
 from ecatspec.conformance.reports import REPORTS
 from ecatspec.conformance.results import run_file
 from ecatspec.conformance.results.run_file import Basis, FoundWay, begin, read
 from ecatspec.conformance.run.runner import run_device
-from ecatspec.conformance.run.work_items import Judged, Learned
 
 Call = Callable[..., tuple[int, str, str]]
 

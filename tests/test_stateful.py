@@ -30,7 +30,7 @@ from ecatspec.generators.cases.case import (
     WriteRegisters,
 )
 from ecatspec.generators.cases.case_codec import case_of
-from ecatspec.generators.mutation.message_mutation import request_frames
+from ecatspec.generators.cases.message_mutation import request_frames
 from ecatspec.generators.random import strategies
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.object_dictionary import decode_value, size_of, size_varies

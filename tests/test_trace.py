@@ -16,11 +16,11 @@ from reqif.parser import ReqIFParser
 from ecatspec.conformance import cli
 from ecatspec.conformance.base.atomic_write import write_whole
 from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
+from ecatspec.conformance.base.work_items import Judged, Learned
 from ecatspec.conformance.results import run_history
 from ecatspec.conformance.results.run_file import Basis
 from ecatspec.conformance.results.run_history import CaseRecord, Record
 from ecatspec.conformance.run import runner
-from ecatspec.conformance.run.work_items import Judged, Learned
 from ecatspec.conformance.traceability.case_footprint import Touch
 from ecatspec.conformance.traceability.requirements import reqif
 from ecatspec.conformance.traceability.trace import (

@@ -47,8 +47,8 @@ from ecatspec.generators.random.walk_alphabet import ground
 from ecatspec.generators.random.walks import walk
 from ecatspec.generators.suite import GENERATORS
 from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.register_map import SYNC_MANAGERS
 from ecatspec.model.core.values import UNKNOWN
-from ecatspec.model.esc.esc import SYNC_MANAGERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -15,8 +15,14 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.conformance.base.atomic_write import write_whole
 from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.register_map import (
+    AL_EVENTS,
+    PROCESS_DATA,
+    SYNC_MANAGERS,
+    WATCHDOG,
+    field_mask,
+)
 from ecatspec.model.esc.data_link import linked
-from ecatspec.model.esc.esc import AL_EVENTS, PROCESS_DATA, SYNC_MANAGERS, WATCHDOG, field_mask
 from ecatspec.spec.language.ir import Binary, Call, Literal, Name
 from ecatspec.spec.language.load import load_device, load_link
 from ecatspec.spec.language.scope import RegisterFieldRef, Scope, resolve

@@ -30,8 +30,8 @@ from ecatspec.conformance.base.adapter import (
 )
 from ecatspec.conformance.base.devices import load
 from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS, field_mask
 from ecatspec.model.esc.data_link import linked
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask
 from ecatspec.model.esc.wire import COMMANDS, Datagram, Wire, filled, wire_format
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.load import load_link

@@ -23,8 +23,8 @@ from ecatspec.conformance.capture.transactions import Capture
 from ecatspec.conformance.run.coverage import extent_of
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.memo import once
+from ecatspec.model.core.register_map import SYNC_MANAGERS, field_of
 from ecatspec.model.core.wording import message_words, register_words
-from ecatspec.model.esc.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.esc.wire import wire_format
 from ecatspec.model.oracle.explanations import Exchange, Mismatch
 from ecatspec.model.oracle.oracle import Oracle

@@ -34,9 +34,9 @@ from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.interpreter import expected_fields, step
 from ecatspec.model.core.observables import layout, shown_fields, shown_register
 from ecatspec.model.core.process_image import INPUTS
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.core.values import Pattern, Unknown, Value, any_open
 from ecatspec.model.core.wording import typed_words, value_words
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.esc.subdevice import Snapshot, VirtualSubDevice
 
 if TYPE_CHECKING:

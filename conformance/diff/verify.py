@@ -19,8 +19,8 @@ from ecatspec.generators.covers.drive_cover import STATUS
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.observables import layout
 from ecatspec.model.core.process_image import INPUTS, taken
+from ecatspec.model.core.register_map import field_of
 from ecatspec.model.core.values import Pattern, admits, bits_of, ranges_of
-from ecatspec.model.esc.esc import field_of
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.oracle import Oracle
 

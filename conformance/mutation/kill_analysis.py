@@ -24,8 +24,8 @@ from ecatspec.conformance.run.case_executor import CaseExecutor
 from ecatspec.conformance.run.dut_knowledge import shape_of
 from ecatspec.generators.cases.case import NO_LIMITS
 from ecatspec.generators.complete.faults import kills
+from ecatspec.generators.complete.finite_cover import complete_suites
 from ecatspec.generators.complete.machines import al_drive_machine, al_machine, drive_machine
-from ecatspec.generators.covers.finite_cover import complete_suites
 from ecatspec.generators.mutation.mutants import DEFINE, SHOWN, definitions_in, mutants
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.analysis.as_built import as_built
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from ecatspec.conformance.base.adapter import Description
     from ecatspec.conformance.run.runner import Progress
     from ecatspec.generators.cases.case import Case
+    from ecatspec.generators.complete.finite_cover import Complete
     from ecatspec.generators.complete.machines import Abstraction
-    from ecatspec.generators.covers.finite_cover import Complete
     from ecatspec.generators.mutation.equivalents import Equivalents
     from ecatspec.generators.mutation.mutants import Mutant
     from ecatspec.model.core.state import Event, State, Step

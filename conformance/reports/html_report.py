@@ -15,7 +15,7 @@ from ecatspec.conformance.render.marks import interruption, kinds, needs, parts,
 from ecatspec.conformance.reports import judged, risks
 from ecatspec.conformance.run.coverage import Shown, coverage
 from ecatspec.conformance.run.machine_coverage import Mark, lacking, reached
-from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.generators.cases.message_mutation import NOTES
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.wording import bytes_words, value_words
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from ecatspec.conformance.base.verdict import MAIN_DEVICE, SUB_DEVICE, Conclusion, Outcome, Way
 from ecatspec.conformance.render.marks import interruption, kinds, needs, parts, plain, plural
 from ecatspec.conformance.reports import judged, risks
-from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.generators.cases.message_mutation import NOTES
 from ecatspec.model.core.wording import bytes_words
 
 if TYPE_CHECKING:

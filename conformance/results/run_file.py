@@ -21,7 +21,7 @@ import msgspec
 from ecatspec.conformance.base.devices import UserError
 from ecatspec.conformance.base.verdict import Verdict
 from ecatspec.conformance.base.version import version
-from ecatspec.conformance.run.work_items import Judged, Learned
+from ecatspec.conformance.base.work_items import Judged, Learned
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -18,9 +18,9 @@ from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.base.adapter import AdapterError, Description
 from ecatspec.conformance.base.devices import UserError, load
 from ecatspec.conformance.base.verdict import CAUSED, Outcome
+from ecatspec.conformance.base.work_items import Judged, Knowledge, Search
 from ecatspec.conformance.run.case_executor import CaseExecutor
 from ecatspec.conformance.run.dut_knowledge import ways_of
-from ecatspec.conformance.run.work_items import Judged, Knowledge, Search
 from ecatspec.conformance.run.worker_pools import Died, cluster_pool, process_pool
 from ecatspec.model.core.compilation import Model
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from ecatspec.conformance.base.adapter import Adapter
-    from ecatspec.conformance.run.work_items import Step
+    from ecatspec.conformance.base.work_items import Step
     from ecatspec.conformance.run.worker_pools import Answer, Pool
 
 _AHEAD: Final = 2

@@ -22,12 +22,12 @@ from ecatspec.conformance.base.verdict import (
     TraceLine,
     Verdict,
 )
+from ecatspec.conformance.base.work_items import Judged, Search, Trial
 from ecatspec.conformance.render.marks import headline
 from ecatspec.conformance.run.dut_knowledge import DutKnowledge, shape_of
 from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
 from ecatspec.conformance.run.shrink import shortest
 from ecatspec.conformance.run.snapshot_session import SnapshotSession
-from ecatspec.conformance.run.work_items import Judged, Search, Trial
 from ecatspec.generators.cases.assignment import at_power_on, first_assigned, read_configuration
 from ecatspec.generators.cases.bringup import has_process_data, way_to
 from ecatspec.generators.cases.case import (
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from ecatspec.conformance.base.adapter import Adapter, Description
-    from ecatspec.conformance.run.work_items import Step
+    from ecatspec.conformance.base.work_items import Step
     from ecatspec.model.core.compilation import Model
     from ecatspec.model.core.state import RuleName
     from ecatspec.model.core.values import ObjectKey

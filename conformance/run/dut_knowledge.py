@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from ecatspec.conformance.base.devices import UserError, nearest
 from ecatspec.conformance.base.verdict import CAUSED
-from ecatspec.conformance.run.work_items import Knowledge, Learned
+from ecatspec.conformance.base.work_items import Knowledge, Learned
 from ecatspec.model.core.state import RuleName
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from ecatspec.conformance.base.verdict import Verdict
-    from ecatspec.conformance.run.work_items import Judged
+    from ecatspec.conformance.base.work_items import Judged
     from ecatspec.spec.language.ir import Protocol
 
 SHAPE = {"mailbox_support": "present", "emulation": "none"}

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, TypeAlias
 from ecatspec.conformance.adapters import HANG_TIMEOUT, open_adapter
 from ecatspec.conformance.base.devices import UserError, load, nearest
 from ecatspec.conformance.base.verdict import BLAMING, Outcome, Result, SetUp
+from ecatspec.conformance.base.work_items import Search, Trial
 from ecatspec.conformance.results.known_deviations import NOTHING
 from ecatspec.conformance.results.run_file import Basis
 from ecatspec.conformance.run.case_executor import CaseExecutor, limits_of
 from ecatspec.conformance.run.coverage import extent_of
 from ecatspec.conformance.run.dut_knowledge import shape_of, ways_of
-from ecatspec.conformance.run.work_items import Search, Trial
 from ecatspec.generators.cases.case_codec import PREFIX, case_of, check
-from ecatspec.generators.covers.finite_cover import complete_suites
+from ecatspec.generators.complete.finite_cover import complete_suites
 from ecatspec.generators.random.walks import walk
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.core.compilation import Model
@@ -30,11 +30,11 @@ from ecatspec.model.core.state import RuleName
 if TYPE_CHECKING:
     from ecatspec.conformance.base.adapter import Adapter, Description
     from ecatspec.conformance.base.verdict import Verdict
+    from ecatspec.conformance.base.work_items import Crew, Judged, Step
     from ecatspec.conformance.results.known_deviations import Accepted
     from ecatspec.conformance.results.run_file import Journal
-    from ecatspec.conformance.run.work_items import Crew, Judged, Step
     from ecatspec.generators.cases.case import Case, Limits
-    from ecatspec.generators.covers.finite_cover import Complete
+    from ecatspec.generators.complete.finite_cover import Complete
 
 Progress: TypeAlias = Callable[[int, int, str], None]
 

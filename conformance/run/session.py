@@ -57,9 +57,15 @@ from ecatspec.generators.covers.mailbox_cover import probe_entry
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.object_dictionary import size_varies
 from ecatspec.model.core.process_image import INPUTS, OUTPUTS
+from ecatspec.model.core.register_map import (
+    AREAS,
+    PROCESS_DATA,
+    SYNC_MANAGERS,
+    field_mask,
+    field_of,
+)
 from ecatspec.model.core.values import bits_of
 from ecatspec.model.core.wording import message_words, register_words
-from ecatspec.model.esc.esc import AREAS, PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.oracle.advice import of_default, takes_nothing, unreadable, unreasoned
 from ecatspec.model.oracle.explanations import Exchange, Mismatch
 from ecatspec.model.oracle.oracle import Oracle

@@ -47,7 +47,7 @@ from ecatspec.generators.covers.process_cover import wrong_process_data
 from ecatspec.generators.covers.transition_cover import wrong_settings
 from ecatspec.generators.random import strategies
 from ecatspec.model.core.compilation import Model
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:

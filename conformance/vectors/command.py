@@ -12,7 +12,7 @@ from ecatspec.conformance.base.devices import UserError, load
 from ecatspec.conformance.base.verdict import Outcome, Result, Verdict
 from ecatspec.conformance.vectors.files import Reading, opened
 from ecatspec.conformance.vectors.replay import Player
-from ecatspec.generators.mutation.message_mutation import NOTES
+from ecatspec.generators.cases.message_mutation import NOTES
 from ecatspec.generators.vectors.symbols import words_of
 from ecatspec.spec.language.ir import Clause, Level, Pin, Protocol
 from ecatspec.spec.language.load import load_standard

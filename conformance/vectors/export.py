@@ -37,10 +37,10 @@ from ecatspec.generators.cases.case import (
     SetUpProcessData,
     WriteOutputs,
 )
+from ecatspec.generators.cases.message_mutation import NOTES
 from ecatspec.generators.cases.play import play
-from ecatspec.generators.covers.finite_cover import complete_suites
+from ecatspec.generators.complete.finite_cover import complete_suites
 from ecatspec.generators.formats import FORMATS
-from ecatspec.generators.mutation.message_mutation import NOTES
 from ecatspec.generators.random.walks import walk
 from ecatspec.generators.suite import all_cases
 from ecatspec.generators.vectors.schema import (
@@ -62,7 +62,7 @@ from ecatspec.generators.vectors.schema import (
 from ecatspec.model.core.byte_masks import message_forms
 from ecatspec.model.core.compilation import MAILBOX, Model, rows_of
 from ecatspec.model.core.interpreter import step
-from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS, field_mask
+from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS, field_mask
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.oracle import Oracle
 
@@ -72,7 +72,7 @@ if TYPE_CHECKING:
 
     from ecatspec.conformance.run.runner import Progress
     from ecatspec.conformance.run.worker_pools import Answer
-    from ecatspec.generators.covers.finite_cover import Complete
+    from ecatspec.generators.complete.finite_cover import Complete
     from ecatspec.generators.vectors.schema import Step
     from ecatspec.model.core.values import ObjectKey
     from ecatspec.spec.language.ir import Protocol

@@ -31,8 +31,8 @@ from ecatspec.model.core.byte_masks import Form, input_form, message_forms, regi
 from ecatspec.model.core.cache import Cache
 from ecatspec.model.core.compilation import MAILBOX
 from ecatspec.model.core.observables import decided, process_area
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.core.values import bits_of
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.oracle.expansion import is_idle, may_hold_anything
 from ecatspec.model.oracle.explanations import Exchange
 from ecatspec.model.oracle.oracle import Oracle

@@ -22,7 +22,7 @@ from ecatspec.generators.cases.case import (
     WriteUntilTaken,
 )
 from ecatspec.model.core.observables import mailbox_fields
-from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS
+from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

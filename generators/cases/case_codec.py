@@ -33,7 +33,7 @@ from ecatspec.generators.cases.case import (
     WriteRegisters,
     WriteUntilTaken,
 )
-from ecatspec.model.esc.esc import PROCESS_DATA
+from ecatspec.model.core.register_map import PROCESS_DATA
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping

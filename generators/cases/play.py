@@ -21,7 +21,7 @@ from ecatspec.generators.cases.case import (
 from ecatspec.generators.cases.process_data import image, settings
 from ecatspec.generators.cases.stimulus import frame_bytes, register_bytes, registers_bytes
 from ecatspec.model.core.memo import once
-from ecatspec.model.esc.esc import SYNC_MANAGERS
+from ecatspec.model.core.register_map import SYNC_MANAGERS
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.scope import AREA_PARTS
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ecatspec.generators.cases.case import WriteRegister, WriteRegisters
 from ecatspec.model.core.observables import control_fields, layout
 from ecatspec.model.core.process_image import INPUTS, OUTPUTS, placed
-from ecatspec.model.esc.esc import AREAS, PROCESS_DATA
+from ecatspec.model.core.register_map import AREAS, PROCESS_DATA
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -33,8 +33,8 @@ from ecatspec.model.automata.mealy import minimise
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.object_dictionary import encode_value, size_of, size_varies
 from ecatspec.model.core.process_image import INPUTS, taken
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.core.values import bits_of
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Access
 

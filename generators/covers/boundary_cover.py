@@ -29,7 +29,7 @@ from ecatspec.generators.cases.case import (
 from ecatspec.generators.cases.process_data import holds, image_size
 from ecatspec.generators.cases.transfers import download
 from ecatspec.model.core.object_dictionary import encode_value
-from ecatspec.model.esc.esc import PROCESS_DATA
+from ecatspec.model.core.register_map import PROCESS_DATA
 from ecatspec.spec.language.scope import CYCLIC
 
 if TYPE_CHECKING:

@@ -28,7 +28,7 @@ from ecatspec.generators.cases.transfers import normal_download, upload
 from ecatspec.generators.covers.drive_cover import STATUS
 from ecatspec.model.core.object_dictionary import size_of
 from ecatspec.model.core.process_image import INPUTS, OUTPUTS
-from ecatspec.model.esc.esc import PROCESS_DATA
+from ecatspec.model.core.register_map import PROCESS_DATA
 from ecatspec.spec.language.ir import Access, Call, In, Literal, Name
 from ecatspec.spec.language.scope import nodes_in, parts_of
 

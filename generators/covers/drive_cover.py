@@ -30,7 +30,7 @@ from ecatspec.generators.cases.transfers import download, upload
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.object_dictionary import encode_value
-from ecatspec.model.esc.esc import PROCESS_DATA
+from ecatspec.model.core.register_map import PROCESS_DATA
 from ecatspec.model.esc.subdevice import power_on
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from ecatspec.generators.cases.case import Case, Limits, Repeat, SendFrame, Stim
 from ecatspec.generators.cases.stimulus import frame_bytes
 from ecatspec.generators.cases.transfers import download, upload
 from ecatspec.model.core.object_dictionary import size_of, size_varies
-from ecatspec.model.esc.esc import BOOTSTRAP
+from ecatspec.model.core.register_map import BOOTSTRAP
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:

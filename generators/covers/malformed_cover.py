@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.cases.bringup import case_in
+from ecatspec.generators.cases.message_mutation import Family, Variant, family_of, request_frames
 from ecatspec.generators.cases.transfers import initiate, pattern, segment_room
 from ecatspec.generators.covers.mailbox_cover import probe_entry
 from ecatspec.generators.covers.transfer_cover import transfer_target
-from ecatspec.generators.mutation.message_mutation import Family, Variant, family_of, request_frames
 from ecatspec.model.core.object_dictionary import size_of
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from ecatspec.generators.cases.case import (
 )
 from ecatspec.generators.cases.process_data import holds, image_size, settings
 from ecatspec.generators.cases.transfers import upload
-from ecatspec.model.esc.esc import PROCESS_DATA
+from ecatspec.model.core.register_map import PROCESS_DATA
 from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from ecatspec.generators.cases.case import (
     WriteOutputs,
 )
 from ecatspec.generators.cases.client import Ask, Begin, Move, Segment, played
+from ecatspec.generators.cases.message_mutation import Family, family_of, request_frames
 from ecatspec.generators.cases.transfers import (
     abort,
     download,
@@ -34,7 +35,6 @@ from ecatspec.generators.cases.transfers import (
     upload,
 )
 from ecatspec.generators.covers.sdo_cover import is_written, read_back
-from ecatspec.generators.mutation.message_mutation import Family, family_of, request_frames
 from ecatspec.model.core.object_dictionary import encode_value, size_of
 from ecatspec.spec.language.ir import Access, Bool, Bytes, Literal, Named, SInt, Text, UInt
 from ecatspec.spec.language.scope import width_of

@@ -56,7 +56,7 @@ from ecatspec.generators.covers.transition_cover import wrong_settings
 from ecatspec.generators.random.stable_random import Dice
 from ecatspec.generators.random.walk_alphabet import ground
 from ecatspec.model.core.object_dictionary import encode_value, size_of, size_varies
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.spec.language.ir import Bool
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.core.cache import Cache
 from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.register_map import field_mask, field_of
 from ecatspec.model.core.wording import (
     bytes_words,
     fields_words,
@@ -15,7 +16,6 @@ from ecatspec.model.core.wording import (
     typed_words,
     value_words,
 )
-from ecatspec.model.esc.esc import field_mask, field_of
 from ecatspec.spec.language.load import device_names, load_device, load_standard
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.interpreter import fields_with_before
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.process_image import INPUTS, Mapped, taken
+from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.core.values import Pattern, Unknown, Value, admits, bits_of
 from ecatspec.model.core.wording import register_words
-from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS, field_mask, field_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.core.expressions import Environment
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS, field_mask, field_of
 from ecatspec.model.esc.sii import WORD, checksum, sii_image
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.esc.wire import Addressing, WireFormat, wire_format

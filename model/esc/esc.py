@@ -16,47 +16,25 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from ecatspec.model.core.memo import once
-from ecatspec.model.core.values import bits_of
+from ecatspec.model.core.register_map import (
+    AL_EVENTS,
+    PROCESS_DATA,
+    SYNC_MANAGERS,
+    WATCHDOG,
+    field_mask,
+    field_of,
+)
 from ecatspec.model.esc.fmmu import Fmmu, fmmu_registers
 from ecatspec.model.esc.three_buffers import Buffers, Channel
-from ecatspec.spec.language.ir import Access, Bool
+from ecatspec.spec.language.ir import Access
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from ecatspec.model.core.compilation import Model
-    from ecatspec.spec.language.ir import Protocol, Register
+    from ecatspec.spec.language.ir import Register
 
-SYNC_MANAGERS = ("sync_manager_0", "sync_manager_1")
-"""The mailbox SyncManagers, the MainDevice's output first."""
-PROCESS_DATA = ("sync_manager_2", "sync_manager_3")
-"""The SyncManagers of process data, the MainDevice's output first."""
 _ALL = SYNC_MANAGERS + PROCESS_DATA
-AREAS = dict(
-    zip(_ALL, ("mailbox_out", "mailbox_in", "process_data_out", "process_data_in"), strict=True)
-)
-"""SyncManager -> the parameter that says where its memory usually lies."""
-BOOTSTRAP = dict(zip(SYNC_MANAGERS, ("bootstrap_out", "bootstrap_in"), strict=True))
-"""SyncManager -> the parameter that says where the mailbox lies in BOOT."""
-AL_EVENTS = "al_event_request"
-"""The register of the events that the device waits for."""
-WATCHDOG = "watchdog_status"
-"""The register that tells whether the watchdog of process data runs."""
-
-
-def field_of(protocol: Protocol, register: str, field: str, raw: int) -> int:
-    """Give one field of a register whose content is `raw`, a truth value where the text says so."""
-    for bits in protocol.registers[register].fields:
-        if bits.name == field:
-            value = bits_of(raw, bits.low, bits.high)
-            return bool(value) if isinstance(bits.type, Bool) else value
-    raise LookupError(f"register {register} has no field {field}")
-
-
-def field_mask(protocol: Protocol, register: str, field: str) -> int:
-    """Give the bits that a field takes in its register."""
-    bits = next(item for item in protocol.registers[register].fields if item.name == field)
-    return ((1 << (bits.high - bits.low + 1)) - 1) << bits.low
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.observables import control_fields, layout
 from ecatspec.model.core.process_image import INPUTS, OUTPUTS
-from ecatspec.model.esc.esc import AREAS, BOOTSTRAP, PROCESS_DATA, SYNC_MANAGERS
+from ecatspec.model.core.register_map import AREAS, BOOTSTRAP, PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.esc.fmmu import fmmu_registers
 from ecatspec.model.esc.subdevice import power_on
 from ecatspec.spec.language.ir import Access, Text

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Protocol
 
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.expressions import Environment
-from ecatspec.model.esc.esc import PROCESS_DATA, Esc, field_of
+from ecatspec.model.core.register_map import PROCESS_DATA, field_of
+from ecatspec.model.esc.esc import Esc
 from ecatspec.model.esc.subdevice import register_slots, with_registers
 
 if TYPE_CHECKING:

@@ -24,9 +24,10 @@ from ecatspec.model.core.memo import once
 from ecatspec.model.core.object_dictionary import encode_value
 from ecatspec.model.core.observables import definitely, layout
 from ecatspec.model.core.process_image import INPUTS, placed
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.core.state import Event, Output, State, Step
 from ecatspec.model.core.values import Pattern, Value, any_open, concrete
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS, Esc
+from ecatspec.model.esc.esc import Esc
 from ecatspec.spec.language.ir import Access
 from ecatspec.spec.language.scope import IMAGE
 

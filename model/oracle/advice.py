@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.analysis.citations import object_name
 from ecatspec.model.core.observables import advised
+from ecatspec.model.core.register_map import field_of
 from ecatspec.model.core.state import RuleName
 from ecatspec.model.core.values import admits, bits_of
 from ecatspec.model.core.wording import bytes_words, register_words
-from ecatspec.model.esc.esc import field_of
 from ecatspec.model.oracle.alternatives import last_rules
 from ecatspec.model.oracle.diagnosis import mismatch
 from ecatspec.model.oracle.knowledge import demanded

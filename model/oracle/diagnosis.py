@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final, assert_never
 from ecatspec.model.core.compilation import MAILBOX
 from ecatspec.model.core.interpreter import afterwards, differing, expected_fields, later_fields
 from ecatspec.model.core.observables import fields_in, shown_fields, shown_register, words_in
+from ecatspec.model.core.register_map import SYNC_MANAGERS, field_of
 from ecatspec.model.core.values import Unknown
 from ecatspec.model.core.wording import fields_words, message_words, register_words
-from ecatspec.model.esc.esc import SYNC_MANAGERS, field_of
 from ecatspec.model.oracle.alternatives import (
     of_machines,
     of_message,

@@ -14,8 +14,8 @@ from msgspec import structs
 
 from ecatspec.model.core.interpreter import afterwards
 from ecatspec.model.core.observables import mailbox_area
+from ecatspec.model.core.register_map import field_of
 from ecatspec.model.core.state import Event
-from ecatspec.model.esc.esc import field_of
 from ecatspec.model.oracle import advice
 from ecatspec.model.oracle.cyclic_outputs import fed, widened
 from ecatspec.model.oracle.deviations import deviated, is_mail, shown_anywhere

@@ -10,9 +10,9 @@ from ecatspec.model.core.compilation import MAILBOX
 from ecatspec.model.core.interpreter import fields_with_before, forgotten, step
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.observables import enabled, mailbox_area, process_area
+from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.core.state import Event
 from ecatspec.model.core.values import UNKNOWN
-from ecatspec.model.esc.esc import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.oracle.cyclic_outputs import fed, widened
 from ecatspec.model.oracle.expansion import is_alive, is_idle
 from ecatspec.model.oracle.explanations import Loose, Pending

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ecatspec.model.core.compilation import MAILBOX, rows_of
 from ecatspec.model.core.object_dictionary import CROWDED
+from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
 from ecatspec.model.core.state import Event, RuleName
-from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.symbolic.concretisation import Example
 from ecatspec.model.symbolic.guard_atoms import OFFSETS, Guards, Side, compares, constraints

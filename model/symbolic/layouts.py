@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.model.core.register_map import BOOTSTRAP
 from ecatspec.model.core.wording import typed_words
-from ecatspec.model.esc.esc import BOOTSTRAP
 from ecatspec.model.symbolic.obligations import Finding, Obligation, Status
 from ecatspec.spec.language.ir import Area, Bool, Bytes, Literal
 from ecatspec.spec.language.scope import bounds_of

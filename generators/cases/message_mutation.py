@@ -13,7 +13,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from ecatspec.generators.cases.case import SendFrame
-from ecatspec.model.esc.esc import AREAS, SYNC_MANAGERS
+from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
 from ecatspec.spec.language.ir import Bool, Bytes, Named
 from ecatspec.spec.language.scope import names_in, width_of
 

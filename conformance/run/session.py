@@ -350,8 +350,8 @@ class Session:
         )
         if not same:
             exchange = self._exchange(0, b"", 1)
-            self.oracle.note(of_default(self.oracle.known, exchange, entry, default, held))
-            self._take_advice()
+            if advice := of_default(self.oracle.known, exchange, entry, default, held):
+                self._advise(advice)
 
     def _write_until_taken(self, key: ObjectKey) -> None:
         """Raise a deviation where every value is refused for no reason, what is held too."""
@@ -745,8 +745,10 @@ class Session:
 
     def _take_advice(self) -> None:
         for signature in self.oracle.advice.keys() - self.advice.keys():
-            advice = self.oracle.advice[signature]
-            self.advice[signature] = Advice(advice, tuple(self.trace), self.time)
+            self._advise(self.oracle.advice[signature])
+
+    def _advise(self, advice: Mismatch) -> None:
+        self.advice.setdefault(advice.signature, Advice(advice, tuple(self.trace), self.time))
 
     def _tick(self) -> None:
         """Look at the clock: exchanges take time too, where it is real."""

@@ -447,7 +447,7 @@ class Recorder(SnapshotSession):
 
     def _possible(self, before: Oracle, exchange: Exchange) -> Explanations:
         """Give the explanations, with what a device may have done by itself."""
-        return before.possible(exchange.time)
+        return before.expanded(exchange.time, surprised=True)
 
     def _size(self, data: bytes) -> int:
         """Give the bytes of a message: what follows is never compared."""

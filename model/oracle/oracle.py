@@ -143,8 +143,15 @@ class Oracle:
         self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
         self._suspicion = None
 
-    def expanded(self, time: int) -> Explanations:
-        """Give all explanations, with inputs served or, until their deadline, not yet."""
+    def expanded(self, time: int, *, surprised: bool = False) -> Explanations:
+        """Give all explanations, with inputs served or, until their deadline, not yet.
+
+        With `surprised` also those by which the device did something by itself.
+        """
+        if surprised:
+            other = self.fork()
+            other._surprise(time)  # noqa: SLF001  it is one of these
+            return other.expanded(time)
         if self._grown is not None and self._grown.of(self.candidates, time):
             return self._grown.found
         found = grown(self.model, self.candidates, time)
@@ -212,7 +219,7 @@ class Oracle:
         mismatch, self._overlooking = diagnosed(self.model, exchange, found, since)
         return mismatch
 
-    def note(self, found: Mismatch | None) -> None:
+    def _note(self, found: Mismatch | None) -> None:
         """Keep what should have been otherwise."""
         if found is not None:
             self.advice.setdefault(found.signature, found)
@@ -291,12 +298,6 @@ class Oracle:
         self.candidates, self.lost = kept, lost
         return False
 
-    def possible(self, time: int) -> Explanations:
-        """Give all explanations, with what the device may have done by itself until then."""
-        other = self.fork()
-        other._surprise(time)  # noqa: SLF001  it is one of these
-        return other.expanded(time)
-
     def _surprise(self, time: int) -> None:
         """Go on with what the device may have done by itself too; forks work it out once."""
         before, known = self.expanded(time), self._grown
@@ -338,7 +339,7 @@ class Oracle:
                 return ProcessDataRefused(found.refused, write=False)
             return InputsRead(found.refused, words)
         self.candidates = found.after
-        self.note(advice.of_inputs(self.known, exchange))
+        self._note(advice.of_inputs(self.known, exchange))
         return None
 
     def _judge_register(self, register: Register, exchange: Exchange) -> Contradiction | None:
@@ -355,7 +356,7 @@ class Oracle:
             return RegisterRead(before, register, raw)
         self.candidates = after
         for each in advice.of_register(self.known, register, raw, exchange):
-            self.note(each)
+            self._note(each)
         return None
 
     def _judge_full(self, time: int, *, full: bool) -> Contradiction | None:

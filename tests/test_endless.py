@@ -17,13 +17,10 @@ from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.conformance.run import session as session_module
+from ecatspec.conformance.run.device_link import TOO_MUCH, InconclusiveError
 from ecatspec.conformance.run.dut_knowledge import shape_of
 from ecatspec.conformance.run.runner import Runner
-from ecatspec.conformance.run.session import (
-    TOO_MUCH,
-    InconclusiveError,
-    Session,
-)
+from ecatspec.conformance.run.session import Session
 from ecatspec.generators.cases.bringup import request, way_to
 from ecatspec.generators.cases.case import (
     NO_LIMITS,

@@ -12,8 +12,9 @@ from msgspec import structs
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.base.adapter import Description
 from ecatspec.conformance.base.verdict import Outcome
+from ecatspec.conformance.run.device_link import Deviation
 from ecatspec.conformance.run.runner import Runner
-from ecatspec.conformance.run.session import Deviation, Session
+from ecatspec.conformance.run.session import Session
 from ecatspec.generators.cases.bringup import WAY_UP, mailbox_settings, request, way_to
 from ecatspec.generators.cases.case import (
     Case,

@@ -21,9 +21,9 @@ from ecatspec.conformance.base.devices import UserError
 from ecatspec.conformance.base.verdict import BLAMING, Outcome, Verdict
 from ecatspec.conformance.run import runner as runner_module
 from ecatspec.conformance.run.case_executor import limits_of
+from ecatspec.conformance.run.device_link import Deviation
 from ecatspec.conformance.run.dut_knowledge import SHAPE, shape_of
 from ecatspec.conformance.run.runner import Runner, run_device
-from ecatspec.conformance.run.session import Deviation
 from ecatspec.generators.cases.bringup import request, way_to
 from ecatspec.generators.cases.case import NO_LIMITS, Case, Happen, Probe, WriteOutputs
 from ecatspec.generators.cases.case_codec import case_of, token_of

@@ -18,7 +18,8 @@ from hypothesis.stateful import (
 
 from ecatspec.conformance.adapters.model import make
 from ecatspec.conformance.base.devices import load
-from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
+from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
+from ecatspec.conformance.run.session import Session
 from ecatspec.generators.cases.bringup import request, way_to
 from ecatspec.generators.cases.case import NO_LIMITS, Probe, Repeat, SendFrame, SendSegments
 from ecatspec.generators.cases.client import Ask, Begin, Move, Segment, played

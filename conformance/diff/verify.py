@@ -13,7 +13,8 @@ from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described
 from ecatspec.conformance.base.devices import going
 from ecatspec.conformance.diff.machines import SDO
-from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
+from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
+from ecatspec.conformance.run.session import Session
 from ecatspec.generators.cases.case_codec import to_data
 from ecatspec.generators.covers.drive_cover import STATUS
 from ecatspec.model.core.compilation import Model

@@ -12,7 +12,7 @@ from ecatspec.conformance.base.adapter import AdapterError, DeviceFault
 from ecatspec.conformance.base.verdict import Finding, Outcome
 from ecatspec.conformance.pytest_plugin.warned import EcatWarning
 from ecatspec.conformance.run.case_executor import limits_of
-from ecatspec.conformance.run.session import Deviation, InconclusiveError
+from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
 from ecatspec.generators.cases.bringup import way_to
 from ecatspec.generators.cases.case import Case, SendSegments, Stimulus
 from ecatspec.generators.cases.case_codec import token_of

@@ -24,8 +24,9 @@ from ecatspec.conformance.base.verdict import (
 )
 from ecatspec.conformance.base.work_items import Judged, Search, Trial
 from ecatspec.conformance.render.marks import headline
+from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
 from ecatspec.conformance.run.dut_knowledge import DutKnowledge, shape_of
-from ecatspec.conformance.run.session import Deviation, InconclusiveError, Session
+from ecatspec.conformance.run.session import Session
 from ecatspec.conformance.run.shrink import shortest
 from ecatspec.conformance.run.snapshot_session import SnapshotSession
 from ecatspec.generators.cases.assignment import at_power_on, first_assigned, read_configuration

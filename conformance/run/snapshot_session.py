@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
-from ecatspec.conformance.run.session import NOTHING, Session, SessionSnapshot
+from ecatspec.conformance.run.device_link import NOTHING, SessionSnapshot
+from ecatspec.conformance.run.session import Session
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping

@@ -17,7 +17,7 @@ from ecatspec.conformance.adapters import open_adapter
 from ecatspec.conformance.base.adapter import DeviceFault
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.run.case_executor import CaseExecutor, limits_of
-from ecatspec.conformance.run.session import Deviation, InconclusiveError
+from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
 from ecatspec.conformance.run.shrink import shortest
 from ecatspec.generators.cases.assignment import first_assigned
 from ecatspec.generators.cases.bringup import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.conformance.run.session import WATCHED
+from ecatspec.conformance.run.watch import WATCHED
 from ecatspec.generators.cases.case import (
     ReadConfiguration,
     ReadInitial,

@@ -21,9 +21,9 @@ from ecatspec.conformance.base.devices import (
     pinned,
 )
 from ecatspec.conformance.base.version import version
+from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
 from ecatspec.conformance.run.dut_knowledge import SHAPE, shape_of
 from ecatspec.conformance.run.runner import WALK, WALKS
-from ecatspec.conformance.run.session import Deviation, InconclusiveError
 from ecatspec.conformance.run.worker_pools import Died, process_pool
 from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
 from ecatspec.generators.cases.assignment import at_power_on, read_configuration

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import msgspec
 
-from ecatspec.conformance.run.session import AL, NOTHING, SessionSnapshot
+from ecatspec.conformance.run.device_link import AL, NOTHING, SessionSnapshot
 from ecatspec.conformance.run.snapshot_session import SnapshotSession
 from ecatspec.generators.cases.case import Happen
 from ecatspec.generators.vectors.schema import (

@@ -25,7 +25,8 @@ from ecatspec.conformance.run.device_link import Deviation, InconclusiveError
 from ecatspec.conformance.run.dut_knowledge import SHAPE, shape_of
 from ecatspec.conformance.run.runner import WALK, WALKS
 from ecatspec.conformance.run.worker_pools import Died, process_pool
-from ecatspec.conformance.vectors.record import COUNTER, LENGTH, Recorder, RestlessError
+from ecatspec.conformance.vectors.expectations import COUNTER, LENGTH
+from ecatspec.conformance.vectors.record import Recorder, RestlessError
 from ecatspec.generators.cases.assignment import at_power_on, read_configuration
 from ecatspec.generators.cases.bringup import has_process_data, way_to
 from ecatspec.generators.cases.case import (

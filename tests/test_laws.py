@@ -2,6 +2,7 @@
 
 import ast
 import graphlib
+import re
 import sys
 import tokenize
 import tomllib
@@ -24,6 +25,32 @@ ALLOWED_NUMBERS: dict[tuple[str, str], str] = {
 
 # Law 3: what the core may not import, since it is a clock, a network, a process or a true random.
 OUTSIDE_WORLD = {"asyncio", "secrets", "select", "signal", "socket", "subprocess", "time"}
+
+# Lines of a module at most, by folder, and of a function; and what is above that.
+MOST_LINES = {"spec": 500, "model": 500, "generators": 600, "conformance": 600}
+LONG_MODULES: dict[str, int] = {
+    "ecatspec.model.core.compilation": 742,
+    "ecatspec.spec.language.check": 900,
+    "ecatspec.spec.language.ir": 882,
+    "ecatspec.spec.language.merge": 777,
+    "ecatspec.spec.language.overlap": 689,
+    "ecatspec.spec.language.parse": 936,
+    "ecatspec.spec.language.pretty": 606,
+    "ecatspec.spec.language.scope": 677,
+}
+MOST_LINES_OF_FUNCTION = 60
+LONG_FUNCTIONS: dict[str, int] = {
+    "ecatspec.conformance.cli.run.run": 63,
+    "ecatspec.conformance.diff.report.as_data": 65,
+    "ecatspec.conformance.run.runner.run_device": 72,
+    "ecatspec.conformance.run.state_machine._machine": 125,
+    "ecatspec.generators.complete.suites._suite": 66,
+    "ecatspec.generators.covers.transfer_cover._interruptions": 165,
+    "ecatspec.generators.covers.transfer_cover._uploads": 66,
+    "ecatspec.model.core.compilation.__init__": 92,
+    "ecatspec.model.core.object_dictionary.__init__": 74,
+    "ecatspec.model.symbolic.smt_encoding._value": 62,
+}
 
 # Public members of a class at most, and the classes that are above that.
 MOST_MEMBERS = 25
@@ -130,6 +157,90 @@ def test_law_2_no_cycles() -> None:
         graphlib.TopologicalSorter(graph).prepare()
     except graphlib.CycleError as error:
         pytest.fail("a cycle: " + " -> ".join(reversed(error.args[1])))
+
+
+def rooms() -> list[str]:
+    """The folders in the order of the map in docs/architecture.md."""
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    part = text.partition("## Map of the folders")[2].partition("\n## ")[0]
+    return re.findall(r"^\| `([\w/.]+)` \|", part, re.MULTILINE)
+
+
+def room_of(module: str) -> str:
+    """The folder of a module, or the module where it is in none."""
+    path = MODULES[module].relative_to(ROOT)
+    return "/".join(path.parts[:2])
+
+
+def test_law_2_imports_of_folders_point_up_in_the_map() -> None:
+    order = rooms()
+    assert len(set(order)) == len(order)
+    inside = {module for module in MODULES if not is_top(module)}
+    assert {room_of(module) for module in inside} == set(order)
+    found = [
+        f"{MODULES[module].relative_to(ROOT)}:{line}: {imported}"
+        for module in inside
+        for line, imported in imports_of(module)
+        if (home := home_of(imported)) in inside
+        and order.index(room_of(home)) > order.index(room_of(module))
+    ]
+    assert not found, "imports from a folder below in the map of docs/architecture.md"
+
+
+def is_top(module: str) -> bool:
+    """Whether a module is the door of one of the four packages."""
+    return module.count(".") == 1
+
+
+def test_the_map_has_the_first_sentence_of_each_folder() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    for room in rooms():
+        path = ROOT / room
+        source = path / "__init__.py" if path.is_dir() else path
+        words = ast.get_docstring(ast.parse(source.read_bytes()))
+        assert words is not None
+        assert f"| `{room}` | {words.splitlines()[0].rstrip('.')} |" in text
+
+
+def test_the_ways_in_name_what_is_there() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    part = text.partition("## Three ways in")[2].partition("\n## ")[0]
+    paths = re.findall(r"`([\w/]+(?:/|\.\w+))`", part)
+    assert len(paths) >= 6
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+def test_the_words_of_the_glossary_are_used() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text("utf-8")
+    words = re.findall(r"^\| ([a-zA-Z ]+) \| (?!meaning)", text, re.MULTILINE)
+    assert len(words) > 30
+    used = "\n".join(path.read_text("utf-8").lower() for path in SOURCES)
+    for page in sorted((ROOT / "docs").glob("*.md")):
+        used += page.read_text("utf-8").lower() if page.name != "glossary.md" else ""
+    assert [word for word in words if word.lower() not in used] == []
+
+
+def functions_of(module: str) -> Iterator[tuple[str, int]]:
+    """Name and lines of each function, without its decorators."""
+    for node in ast.walk(ast.parse(MODULES[module].read_bytes())):
+        if isinstance(node, ast.FunctionDef):
+            yield f"{module}.{node.name}", (node.end_lineno or node.lineno) - node.lineno + 1
+
+
+def test_modules_are_short() -> None:
+    lines = {module: path.read_text("utf-8").count("\n") for module, path in MODULES.items()}
+    long = {m: n for m, n in lines.items() if n > MOST_LINES[m.split(".")[1]]}
+    assert long.keys() == LONG_MODULES.keys()
+    assert [m for m, n in long.items() if n > LONG_MODULES[m]] == [], "divide it; it must not grow"
+
+
+def test_functions_are_short() -> None:
+    every = [found for module in MODULES for found in functions_of(module)]
+    long = {name: n for name, n in every if n > MOST_LINES_OF_FUNCTION}
+    assert long.keys() == LONG_FUNCTIONS.keys()
+    assert [m for m, n in long.items() if n > LONG_FUNCTIONS[m]] == [], (
+        "divide it; it must not grow"
+    )
 
 
 def test_law_2_spec_imports_lark_and_nothing_else() -> None:

@@ -11,7 +11,7 @@ SOURCES := api.py pyproject.toml README.md LICENSE NOTICE $(shell find spec mode
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name '*.h' -o -name '*.html' \
   -o -name '*.css' -o -name '*.js' -o -name '*.json' -o -name py.typed \) -print)
 
-.PHONY: help demo test lint format docs chip site mutants bench clean
+.PHONY: help demo test quick lint format docs chip site mutants bench clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -33,11 +33,15 @@ demo: $(VENV)/installed  ## judge a virtual drive (conforms) and a foreign SDO s
 test: lint  ## everything: lint, types, and the tests against the installed wheel
 	$(BIN)/python -m pytest -n auto --dist loadgroup
 
-lint: $(VENV)/developed  ## formatting, rules and types
+quick: lint  ## the inner loop, under a minute: lint, and the tests of the language and of the laws
+	$(BIN)/python -m pytest -q -n auto --dist loadgroup $(QUICK)
+
+lint: $(VENV)/developed  ## formatting, rules, types, and what nothing uses
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/mypy tests bench docs examples
+	$(BIN)/vulture
 
 format: $(VENV)/developed  ## format the code and repair what can be repaired
 	$(BIN)/ruff check --fix-only .

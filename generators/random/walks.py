@@ -140,7 +140,7 @@ class _Walker:
         found.append((self._go_on, _GO_ON))
         for name, weights in _WEIGHTS.items():
             liking = self._dice.pick(_LIKINGS)
-            move = getattr(self, f"_{name}")
+            move = getattr(self, f"_move_{name}")
             if liking:
                 found.append((move, tuple(weight * liking for weight in weights)))
         return found
@@ -193,7 +193,7 @@ class _Walker:
         acknowledge = self._refused or self._dice.one_in(6)
         return *before, request(self._value(name), acknowledge=acknowledge)
 
-    def _fall(self) -> _Stimuli:
+    def _move_fall(self) -> _Stimuli:
         """Go to a lower state, or ask for the present one again."""
         lower = WAY_UP[: WAY_UP.index(self._state) + 1]
         names = lower if self._restarts else lower[1:]
@@ -201,22 +201,22 @@ class _Walker:
             return ()
         return (request(self._value(self._dice.pick(names)), acknowledge=self._dice.one_in(3)),)
 
-    def _odd_request(self) -> _Stimuli:
+    def _move_odd_request(self) -> _Stimuli:
         """Ask for any value."""
         if not self._restarts:
             return ()
         value = self._dice.below(1 << self._model.protocol.tables["al_state"].width)
         return (request(value, acknowledge=self._dice.one_in(2)),)
 
-    def _acknowledge(self) -> _Stimuli:
+    def _move_acknowledge(self) -> _Stimuli:
         if not self._restarts and self._state == WAY_UP[0]:
             return ()
         return (request(self._value(self._state), acknowledge=True),)
 
-    def _set_up_mailbox(self) -> _Stimuli:
+    def _move_set_up_mailbox(self) -> _Stimuli:
         return mailbox_settings(self._model)
 
-    def _misset_mailbox(self) -> _Stimuli:
+    def _move_misset_mailbox(self) -> _Stimuli:
         """Set a mailbox wrongly, or switch one off; a device that used it goes to INIT."""
         if self._state != WAY_UP[0]:
             if not self._restarts:
@@ -227,10 +227,10 @@ class _Walker:
             return (WriteRegister(f"{name}_activation", {"enabled": 0}),)
         return self._dice.pick(wrong_settings(self._model))[1]
 
-    def _set_up_data(self) -> _Stimuli:
+    def _move_set_up_data(self) -> _Stimuli:
         return (SetUpProcessData(),)
 
-    def _misset_data(self) -> _Stimuli:
+    def _move_misset_data(self) -> _Stimuli:
         """Set the process data SyncManagers with one deviation."""
         name = self._dice.pick(PROCESS_DATA)
         tables = {"mode": "sync_manager_mode", "direction": "sync_manager_direction"}
@@ -266,11 +266,11 @@ class _Walker:
         name, bits = self._dice.pick(self._ground.words)
         return (WriteOutputs({name: self._dice.below(1 << bits)}),)
 
-    def _hurry(self) -> _Stimuli:
+    def _move_hurry(self) -> _Stimuli:
         """Do not wait for what outputs lead to before something else comes."""
         return (Hurry(), *(self._command() or self._outputs()))
 
-    def _stop_outputs(self) -> _Stimuli:
+    def _move_stop_outputs(self) -> _Stimuli:
         return (StopOutputs(),)
 
     def _wait(self) -> _Stimuli:
@@ -279,21 +279,21 @@ class _Walker:
     def _raise_local(self) -> _Stimuli:
         return (Happen(self._dice.pick(self._events)),) if self._events else ()
 
-    def _read_register(self) -> _Stimuli:
+    def _move_read_register(self) -> _Stimuli:
         return (ReadRegister(self._dice.pick(self._ground.readable)),)
 
-    def _set_watchdog(self) -> _Stimuli:
+    def _move_set_watchdog(self) -> _Stimuli:
         time = self._dice.pick((0, WATCHDOG // 4, WATCHDOG, 2 * WATCHDOG))
         return (WriteRegister("watchdog_process_data", {"time": time}),)
 
     # --- SDO --------------------------------------------------------------------------------------
 
-    def _upload(self) -> _Stimuli:
+    def _move_upload(self) -> _Stimuli:
         """Ask for an entry, and mostly read on to its end."""
         ask = upload(*self._key(written=False))
         return (ask,) if self._dice.one_in(3) else (ask, SendSegments())
 
-    def _download(self) -> _Stimuli:
+    def _move_download(self) -> _Stimuli:
         """Write an entry in one of the shapes that there are."""
         key = self._key(written=True)
         value = self._bytes(key)
@@ -324,7 +324,7 @@ class _Walker:
         count = 1 + self._dice.below(max(1, len(self._client.rest)))
         return (self._client.give(Segment(count, right, honest=not self._dice.one_in(12))),)
 
-    def _abort(self) -> _Stimuli:
+    def _move_abort(self) -> _Stimuli:
         key = self._key(written=False)
         codes = self._model.protocol.tables["sdo_abort_code"].rows
         return (abort(*key, self._dice.pick(codes).value),)
@@ -346,7 +346,7 @@ class _Walker:
             return ()
         return normal_download(self._model, (index, first), data, self._limits, complete=True)
 
-    def _information(self) -> _Stimuli:
+    def _move_information(self) -> _Stimuli:
         """Ask what there is."""
         index, subindex = self._key(written=False)
         lists = self._model.protocol.tables["object_list_type"].rows
@@ -361,7 +361,7 @@ class _Walker:
             ),
         )
 
-    def _configure(self) -> _Stimuli:
+    def _move_configure(self) -> _Stimuli:
         """Assign or map process data, whole or in part."""
         if not self._ground.configurations:
             return ()
@@ -376,7 +376,7 @@ class _Walker:
 
     # --- the mailbox ------------------------------------------------------------------------------
 
-    def _family(self) -> _Stimuli:
+    def _move_family(self) -> _Stimuli:
         """Send a request at its edge, or with one fault."""
         return self._dice.pick(self._ground.families) if self._ground.families else ()
 
@@ -390,12 +390,12 @@ class _Walker:
         same = self._dice.one_in(2)
         return (SendFrame(self._last.frame, self._last.fields, same_counter=same),)
 
-    def _leave_unread(self) -> _Stimuli:
+    def _move_leave_unread(self) -> _Stimuli:
         """Ask, and leave the answer in the mailbox for now."""
         ask = upload(*self._key(written=False))
         return (SendFrame(ask.frame, ask.fields, unread=True),)
 
-    def _probe(self) -> _Stimuli:
+    def _move_probe(self) -> _Stimuli:
         return (Probe(),)
 
     # --- values -----------------------------------------------------------------------------------

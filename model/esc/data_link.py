@@ -104,7 +104,6 @@ class LinkedSubDevice:
         """Power cycle: the EEPROM keeps what was written to it."""
         self.device.reset()
         self._busy_until = 0
-        self._started = self.now
         self._al_status = self._content("al_status")
         self._load()
         if self._follower:

@@ -11,6 +11,9 @@ SOURCES := api.py pyproject.toml README.md LICENSE NOTICE $(shell find spec mode
   \( -type d -o -name '*.py' -o -name '*.ecs' -o -name '*.lark' -o -name '*.h' -o -name '*.html' \
   -o -name '*.css' -o -name '*.js' -o -name '*.json' -o -name py.typed \) -print)
 
+# Tests of each package that take little: the language and the laws, the oracle, cases, reports.
+QUICK := $(addprefix tests/test_,laws.py language.py esc.py oracle.py strings.py snapshot_session.py golden.py reports.py)
+
 .PHONY: help demo test quick lint format docs chip site mutants bench clean
 .DEFAULT_GOAL := help
 

@@ -18,9 +18,9 @@ from hypothesis import strategies as st
 
 from ecatspec.conformance import reports
 from ecatspec.conformance.base.verdict import Outcome, Result, SetUp, TraceLine, Verdict
+from ecatspec.conformance.cli.colours import coloured
 from ecatspec.conformance.render.marks import parts
 from ecatspec.conformance.reports import REPORTS, judged
-from ecatspec.conformance.reports.colours import coloured
 from ecatspec.conformance.reports.json_report import SCHEMA, VERSION, json_schema
 from ecatspec.conformance.reports.text import WIDTH
 from ecatspec.conformance.run.machine_coverage import Mark, Reached, lacking, reached

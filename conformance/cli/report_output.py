@@ -70,7 +70,7 @@ def print_report(results: Sequence[Result], protocol: Protocol, options: Mapping
 
     said = REPORTS["json" if options["as_json"] else "text"](results, protocol)
     if not options["as_json"] and sys.stdout is not None and sys.stdout.isatty():
-        from ecatspec.conformance.reports.colours import coloured
+        from ecatspec.conformance.cli.colours import coloured
 
         said = coloured(said)
     print_text(said)

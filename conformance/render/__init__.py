@@ -1,1 +1,1 @@
-"""Forms that several outputs share: tables, colours, annotations, SARIF."""
+"""Forms that several outputs share: tables, annotations, SARIF."""

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from ecatspec.model.analysis.citations import citations
 from ecatspec.spec.language import overlap
 from ecatspec.spec.language.check import check_protocol, check_words
-from ecatspec.spec.language.check_texts import check_texts, unused
+from ecatspec.spec.language.check.texts import check_texts, unused
 from ecatspec.spec.language.diagnostics import Code, SpecError
 from ecatspec.spec.language.ir import (
     Access,

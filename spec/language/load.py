@@ -116,7 +116,7 @@ def compile_texts(texts: Sequence[SourceText], name: str | None = None) -> Proto
     """
     # what has been checked is kept, so most starts need no checks
     from ecatspec.spec.language.check import check_protocol, check_words  # noqa: PLC0415
-    from ecatspec.spec.language.check_texts import check_texts  # noqa: PLC0415
+    from ecatspec.spec.language.check.texts import check_texts  # noqa: PLC0415
 
     chosen = _chosen(texts, name)
     _raise(check_texts(chosen))

@@ -28,7 +28,7 @@ from ecatspec.model.symbolic.boundary_values import Boundaries, Boundary
 from ecatspec.model.symbolic.guard_atoms import Side
 from ecatspec.spec.language.ir import Binary
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.scope import parts_of
+from ecatspec.spec.language.nodes import parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -19,9 +19,9 @@ from ecatspec.conformance.run.runner import run_device
 from ecatspec.generators.vectors import schema
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.functions import PLAIN
+from ecatspec.spec.language.functions import EDGES, FUNCTIONS
 from ecatspec.spec.language.load import load_device, load_file
-from ecatspec.spec.language.pretty import pretty_type
-from ecatspec.spec.language.scope import EDGES, FUNCTIONS
+from ecatspec.spec.language.pretty_expressions import pretty_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

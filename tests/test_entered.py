@@ -12,7 +12,7 @@ from ecatspec.model.analysis.entry_facts import with_guesses
 from ecatspec.model.symbolic.proofs import Prover
 from ecatspec.model.symbolic.smt_encoding import Meaning
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.pretty import pretty_expression
+from ecatspec.spec.language.pretty_expressions import pretty_expression
 
 if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Property

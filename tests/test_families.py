@@ -21,8 +21,8 @@ from ecatspec.generators.cases.message_mutation import (
 from ecatspec.generators.cases.stimulus import frame_bytes
 from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Literal, Name, Named, UInt
+from ecatspec.spec.language.kinds import width_of
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.scope import width_of
 
 if TYPE_CHECKING:
     from ecatspec.model.core.codec import Message

@@ -39,7 +39,7 @@ from ecatspec.model.core.compilation import Model, rows_of
 from ecatspec.model.esc import subdevice
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Literal, Pin
-from ecatspec.spec.language.scope import names_in
+from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ecatspec.model.analysis.citations import citations
-from ecatspec.spec.language import overlap
+from ecatspec.spec.language import overlap, overlap_search
 from ecatspec.spec.language.check import check_protocol, check_words
 from ecatspec.spec.language.check.texts import check_texts, unused
 from ecatspec.spec.language.diagnostics import Code, SpecError
+from ecatspec.spec.language.functions import FUNCTIONS
 from ecatspec.spec.language.ir import (
     Access,
     After,
@@ -97,22 +98,21 @@ from ecatspec.spec.language.load import (
 )
 from ecatspec.spec.language.merge import merge_standard
 from ecatspec.spec.language.parse import decode, parse_text
-from ecatspec.spec.language.pretty import pretty, pretty_expression
-from ecatspec.spec.language.scope import (
-    FUNCTIONS,
+from ecatspec.spec.language.pretty import pretty
+from ecatspec.spec.language.pretty_expressions import pretty_expression
+from ecatspec.spec.language.references import (
     AlternativeRef,
     ChoiceRef,
     ConstantRef,
     ParameterOfInput,
     ParameterRef,
     RegisterFieldRef,
-    Scope,
     StateRef,
     UnresolvedName,
     VariableRef,
     WordFieldRef,
-    resolve,
 )
+from ecatspec.spec.language.scope import Scope, resolve
 
 ROOT = Path(__file__).resolve().parent.parent
 BAD = ROOT / "tests" / "bad"
@@ -290,13 +290,13 @@ def test_guards_that_say_the_opposite_need_no_search(
     guards: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Behind the names there may be more combinations than anybody looks at."""
-    search, searched = overlap._search, []  # noqa: SLF001  what there is beside the words
+    search, searched = overlap_search.search_samples, []
 
     def counted(*given: Any) -> object:  # noqa: ANN401  passed on
         searched.append(given)
         return search(*given)
 
-    monkeypatch.setattr(overlap, "_search", counted)
+    monkeypatch.setattr(overlap, "search_samples", counted)
     compile_texts([BASE, parse_text(rules("flag", "not flag"), "text")])
     plain = len(searched)
     compile_texts([BASE, parse_text(rules(*guards), "text")])

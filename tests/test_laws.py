@@ -30,10 +30,7 @@ OUTSIDE_WORLD = {"asyncio", "secrets", "select", "signal", "socket", "subprocess
 MOST_LINES = {"spec": 500, "model": 500, "generators": 600, "conformance": 600}
 LONG_MODULES: dict[str, int] = {
     "ecatspec.model.core.compilation": 742,
-    "ecatspec.spec.language.overlap": 689,
     "ecatspec.spec.language.parse": 936,
-    "ecatspec.spec.language.pretty": 606,
-    "ecatspec.spec.language.scope": 677,
 }
 MOST_LINES_OF_FUNCTION = 60
 LONG_FUNCTIONS: dict[str, int] = {

@@ -39,8 +39,8 @@ from ecatspec.model.esc.subdevice import Quirk, VirtualSubDevice
 from ecatspec.model.symbolic.terms import counted
 from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.ir import Binary, Bool, Bytes, In, Literal, Name, Range, SInt, Unary
+from ecatspec.spec.language.kinds import width_of
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.scope import width_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -28,7 +28,7 @@ from ecatspec.model.analysis.as_built import as_built
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.load import device_names, load_device, load_faults, load_file, plant
-from ecatspec.spec.language.pretty import pretty_expression
+from ecatspec.spec.language.pretty_expressions import pretty_expression
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -45,7 +45,8 @@ from ecatspec.model.oracle.explanations import Exchange
 from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.spec.language.ir import Bytes, Pin
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.scope import ConditionRef, frame_fields
+from ecatspec.spec.language.references import ConditionRef
+from ecatspec.spec.language.scope import frame_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -57,7 +58,8 @@ if TYPE_CHECKING:
     from ecatspec.model.core.values import Value
     from ecatspec.model.oracle.explanations import Mismatch
     from ecatspec.spec.language.ir import Choice, Condition, Protocol
-    from ecatspec.spec.language.scope import Ref, Scope
+    from ecatspec.spec.language.references import Ref
+    from ecatspec.spec.language.scope import Scope
 
 AKD = load_device("kollmorgen-akd")
 STANDARD = load_device("standard")

@@ -55,16 +55,12 @@ from ecatspec.spec.language.ir import (
     SInt,
     Unary,
 )
+from ecatspec.spec.language.kinds import bounds_of, kind_of_ref
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.logic import COMPARED, LOGIC
-from ecatspec.spec.language.scope import (
-    Scope,
-    UnresolvedName,
-    bounds_of,
-    kind_of_ref,
-    nodes_in,
-    resolve,
-)
+from ecatspec.spec.language.nodes import nodes_in
+from ecatspec.spec.language.references import UnresolvedName
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from ecatspec.model.core.state import State

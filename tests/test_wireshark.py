@@ -17,8 +17,9 @@ from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.expressions import Environment, Getter, compile_expression
 from ecatspec.model.core.functions import PLAIN
 from ecatspec.spec.language.ir import Bytes, FrameField, Name, Named
+from ecatspec.spec.language.kinds import width_of
 from ecatspec.spec.language.load import load_device
-from ecatspec.spec.language.scope import names_in, width_of
+from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -25,7 +25,8 @@ from ecatspec.model.core.register_map import (
 from ecatspec.model.esc.data_link import linked
 from ecatspec.spec.language.ir import Binary, Call, Literal, Name
 from ecatspec.spec.language.load import load_device, load_link
-from ecatspec.spec.language.scope import RegisterFieldRef, Scope, resolve
+from ecatspec.spec.language.references import RegisterFieldRef
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Expression, Protocol

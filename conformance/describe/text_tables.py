@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, assert_never
 from ecatspec.conformance.base.devices import nearest
 from ecatspec.conformance.render.tables import Cell, Sheet
 from ecatspec.model.core.compilation import Model
+from ecatspec.spec.language.functions import AREA_PARTS
 from ecatspec.spec.language.ir import (
     Area,
     Binary,
@@ -24,8 +25,7 @@ from ecatspec.spec.language.ir import (
     Unary,
 )
 from ecatspec.spec.language.load import load_faults
-from ecatspec.spec.language.pretty import pretty_expression, pretty_type
-from ecatspec.spec.language.scope import AREA_PARTS
+from ecatspec.spec.language.pretty_expressions import pretty_expression, pretty_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

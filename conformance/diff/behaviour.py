@@ -22,7 +22,7 @@ from ecatspec.model.core.interpreter import rule_clauses
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.values import Pattern, admits, compatible
 from ecatspec.spec.language.ir import Name
-from ecatspec.spec.language.scope import nodes_in
+from ecatspec.spec.language.nodes import nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -7,15 +7,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from ecatspec.conformance.base.devices import nearest
 from ecatspec.spec.language.ir import Binary, Conditional, In, Literal, Name, Unary
-from ecatspec.spec.language.pretty import pretty_expression
-from ecatspec.spec.language.scope import (
-    ChoiceRef,
-    DefinitionRef,
-    Ref,
-    Scope,
-    UnresolvedName,
-    resolve,
-)
+from ecatspec.spec.language.pretty_expressions import pretty_expression
+from ecatspec.spec.language.references import ChoiceRef, DefinitionRef, Ref, UnresolvedName
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence

@@ -23,7 +23,7 @@ from ecatspec.model.analysis.citations import object_name
 from ecatspec.spec.language.diagnostics import SpecError
 from ecatspec.spec.language.ir import Name, Remove, Replace, ReplaceField, Span
 from ecatspec.spec.language.load import load_faults, load_standard, plant
-from ecatspec.spec.language.scope import nodes_in
+from ecatspec.spec.language.nodes import nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 from ecatspec.generators.cases.case import SendFrame
 from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
 from ecatspec.spec.language.ir import Bool, Bytes, Named
-from ecatspec.spec.language.scope import names_in, width_of
+from ecatspec.spec.language.kinds import width_of
+from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

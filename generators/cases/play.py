@@ -23,7 +23,7 @@ from ecatspec.generators.cases.stimulus import frame_bytes, register_bytes, regi
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.register_map import SYNC_MANAGERS
 from ecatspec.model.esc.subdevice import VirtualSubDevice
-from ecatspec.spec.language.scope import AREA_PARTS
+from ecatspec.spec.language.functions import AREA_PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -30,7 +30,7 @@ from ecatspec.generators.cases.process_data import holds, image_size
 from ecatspec.generators.cases.transfers import download
 from ecatspec.model.core.object_dictionary import encode_value
 from ecatspec.model.core.register_map import PROCESS_DATA
-from ecatspec.spec.language.scope import CYCLIC
+from ecatspec.spec.language.functions import CYCLIC
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping

@@ -30,7 +30,7 @@ from ecatspec.model.core.object_dictionary import size_of
 from ecatspec.model.core.process_image import INPUTS, OUTPUTS
 from ecatspec.model.core.register_map import PROCESS_DATA
 from ecatspec.spec.language.ir import Access, Call, In, Literal, Name
-from ecatspec.spec.language.scope import nodes_in, parts_of
+from ecatspec.spec.language.nodes import nodes_in, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

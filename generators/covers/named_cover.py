@@ -8,7 +8,7 @@ from ecatspec.generators.cases.assignment import set_entry
 from ecatspec.generators.cases.bringup import case_in
 from ecatspec.generators.cases.transfers import download, upload
 from ecatspec.spec.language.ir import Binary, Call, In, Literal, Name, Range, SInt, UInt
-from ecatspec.spec.language.scope import nodes_in
+from ecatspec.spec.language.nodes import nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,7 +8,7 @@ from ecatspec.generators.cases.bringup import request, way_to
 from ecatspec.generators.cases.case import Case, Limits, ReadRegister, WriteRegister
 from ecatspec.generators.cases.transfers import upload
 from ecatspec.spec.language.ir import Access, Name
-from ecatspec.spec.language.scope import nodes_in
+from ecatspec.spec.language.nodes import nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

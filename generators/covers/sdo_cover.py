@@ -21,7 +21,7 @@ from ecatspec.generators.cases.transfers import (
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.object_dictionary import encode_value, size_of, size_varies
 from ecatspec.spec.language.ir import Access, Binary, In, Literal, Name, SInt
-from ecatspec.spec.language.scope import nodes_in, parts_of
+from ecatspec.spec.language.nodes import nodes_in, parts_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -21,7 +21,7 @@ from ecatspec.generators.cases.case import (
 from ecatspec.generators.cases.play import Reached, at_power_on
 from ecatspec.generators.cases.process_data import image_size
 from ecatspec.model.core.register_map import AREAS, BOOTSTRAP, PROCESS_DATA, SYNC_MANAGERS
-from ecatspec.spec.language.scope import AREA_PARTS
+from ecatspec.spec.language.functions import AREA_PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -29,8 +29,8 @@ from ecatspec.spec.language.ir import (
     Text,
     UInt,
 )
-from ecatspec.spec.language.pretty import pretty_expression, pretty_type
-from ecatspec.spec.language.scope import names_in
+from ecatspec.spec.language.nodes import names_in
+from ecatspec.spec.language.pretty_expressions import pretty_expression, pretty_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

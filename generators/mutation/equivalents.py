@@ -34,7 +34,9 @@ from ecatspec.spec.language.ir import (
     Range,
     Rule,
 )
-from ecatspec.spec.language.scope import Scope, UnresolvedName, nodes_in
+from ecatspec.spec.language.nodes import nodes_in
+from ecatspec.spec.language.references import UnresolvedName
+from ecatspec.spec.language.scope import Scope
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator

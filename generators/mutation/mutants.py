@@ -30,9 +30,11 @@ from ecatspec.spec.language.ir import (
     UInt,
     Unary,
 )
+from ecatspec.spec.language.kinds import kind_of
 from ecatspec.spec.language.logic import LOGIC
-from ecatspec.spec.language.pretty import pretty_expression
-from ecatspec.spec.language.scope import Scope, frame_fields, kind_of, nodes_in, parts_of
+from ecatspec.spec.language.nodes import nodes_in, parts_of
+from ecatspec.spec.language.pretty_expressions import pretty_expression
+from ecatspec.spec.language.scope import Scope, frame_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -37,7 +37,7 @@ from ecatspec.generators.cases.transfers import (
 from ecatspec.generators.covers.sdo_cover import is_written, read_back
 from ecatspec.model.core.object_dictionary import encode_value, size_of
 from ecatspec.spec.language.ir import Access, Bool, Bytes, Literal, Named, SInt, Text, UInt
-from ecatspec.spec.language.scope import width_of
+from ecatspec.spec.language.kinds import width_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

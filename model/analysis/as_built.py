@@ -24,8 +24,11 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
+from ecatspec.spec.language.kinds import kind_of
 from ecatspec.spec.language.logic import LOGIC, joined
-from ecatspec.spec.language.scope import Scope, UnresolvedName, kind_of, nodes_in, parts_of
+from ecatspec.spec.language.nodes import nodes_in, parts_of
+from ecatspec.spec.language.references import UnresolvedName
+from ecatspec.spec.language.scope import Scope
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.model.core.compilation import rows_of
 from ecatspec.spec.language.ir import Call, Name, Named, OneOf, Remove, ReplaceField, Rule
-from ecatspec.spec.language.scope import names_in, nodes_in
+from ecatspec.spec.language.nodes import names_in, nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -11,16 +11,15 @@ from functools import reduce
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from ecatspec.spec.language.ir import Binary, Expression, Literal, Name, Property, Range, Unary
-from ecatspec.spec.language.scope import (
+from ecatspec.spec.language.references import (
     DefinitionRef,
     ParameterOfInput,
     Ref,
-    Scope,
     StateRef,
     UnresolvedName,
     VariableRef,
-    resolve,
 )
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

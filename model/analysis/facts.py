@@ -14,7 +14,7 @@ from ecatspec.model.analysis.citations import object_name
 from ecatspec.model.core.observables import machines_of
 from ecatspec.model.core.process_image import OUTPUTS
 from ecatspec.spec.language.ir import Access, Area, Level, Literal, Register, Time, Word
-from ecatspec.spec.language.pretty import pretty_expression, pretty_type
+from ecatspec.spec.language.pretty_expressions import pretty_expression, pretty_type
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

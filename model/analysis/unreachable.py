@@ -19,7 +19,7 @@ from ecatspec.model.core.object_dictionary import CROWDED
 from ecatspec.model.core.process_image import OUTPUTS
 from ecatspec.model.core.state import RuleName
 from ecatspec.model.core.values import UNKNOWN, Numbers, Pattern, Unknown
-from ecatspec.spec.language.scope import names_in
+from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -9,14 +9,9 @@ from ecatspec.model.core.expressions import Environment, Getter, Lookup, compile
 from ecatspec.model.core.functions import PLAIN
 from ecatspec.model.core.values import UNKNOWN, Pattern, Value
 from ecatspec.spec.language.ir import Bool, Bytes, Frame, FrameField, Name, SInt
-from ecatspec.spec.language.scope import (
-    ConstantRef,
-    ParameterOfInput,
-    Scope,
-    frame_fields,
-    resolve,
-    width_of,
-)
+from ecatspec.spec.language.kinds import width_of
+from ecatspec.spec.language.references import ConstantRef, ParameterOfInput
+from ecatspec.spec.language.scope import Scope, frame_fields, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -22,6 +22,7 @@ from ecatspec.model.core.object_dictionary import CROWDED, ObjectDictionary
 from ecatspec.model.core.process_image import ProcessImage
 from ecatspec.model.core.state import Event, RuleName, State
 from ecatspec.model.core.values import UNKNOWN, Octets, Pattern, Value, bits_of
+from ecatspec.spec.language.functions import REPLY
 from ecatspec.spec.language.ir import (
     Access,
     After,
@@ -41,8 +42,9 @@ from ecatspec.spec.language.ir import (
     Type,
     Unary,
 )
-from ecatspec.spec.language.scope import (
-    REPLY,
+from ecatspec.spec.language.kinds import expectation
+from ecatspec.spec.language.nodes import names_in
+from ecatspec.spec.language.references import (
     AlternativeRef,
     ChoiceRef,
     ConditionRef,
@@ -54,15 +56,11 @@ from ecatspec.spec.language.scope import (
     Ref,
     RegisterFieldRef,
     ReplyField,
-    Scope,
     StateRef,
     VariableRef,
     WordFieldRef,
-    expectation,
-    frame_fields,
-    names_in,
-    resolve,
 )
+from ecatspec.spec.language.scope import Scope, frame_fields, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias, assert_never
 
 from ecatspec.model.core.values import UNKNOWN, Numbers, Pattern, Unknown, Value, compatible
 from ecatspec.spec.language.arithmetic import calculated
+from ecatspec.spec.language.functions import EDGES
 from ecatspec.spec.language.ir import (
     AnyValue,
     Binary,
@@ -24,7 +25,6 @@ from ecatspec.spec.language.ir import (
     Unary,
 )
 from ecatspec.spec.language.logic import COMPARED, LOGIC, junction
-from ecatspec.spec.language.scope import EDGES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -10,8 +10,8 @@ from ecatspec.model.core.memo import once
 from ecatspec.model.core.process_image import OUTPUTS, taken
 from ecatspec.model.core.state import Alarm, Event, Output, RuleName, State, Step
 from ecatspec.model.core.values import UNKNOWN, Octets, Pattern, Value, admits, bits_of
+from ecatspec.spec.language.functions import CYCLIC, REPLY
 from ecatspec.spec.language.ir import Bool
-from ecatspec.spec.language.scope import CYCLIC, REPLY
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

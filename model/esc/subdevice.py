@@ -28,8 +28,8 @@ from ecatspec.model.core.register_map import PROCESS_DATA, SYNC_MANAGERS
 from ecatspec.model.core.state import Event, Output, State, Step
 from ecatspec.model.core.values import Pattern, Value, any_open, concrete
 from ecatspec.model.esc.esc import Esc
+from ecatspec.spec.language.functions import IMAGE
 from ecatspec.spec.language.ir import Access
-from ecatspec.spec.language.scope import IMAGE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

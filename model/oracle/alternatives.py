@@ -13,7 +13,7 @@ from ecatspec.model.core.observables import machines_of, shown_fields, shown_reg
 from ecatspec.model.core.values import Octets, Unknown, admits
 from ecatspec.model.oracle.blame import Alternative, sizing
 from ecatspec.spec.language.ir import Named, Rule
-from ecatspec.spec.language.scope import names_in
+from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping

@@ -21,7 +21,8 @@ from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.interpreter import row_of, rule_clauses
 from ecatspec.model.core.memo import once
 from ecatspec.spec.language.ir import Binary, Bytes, Level, Name, Unary
-from ecatspec.spec.language.scope import Scope, names_in
+from ecatspec.spec.language.nodes import names_in
+from ecatspec.spec.language.scope import Scope
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

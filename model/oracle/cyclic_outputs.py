@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ecatspec.model.core.interpreter import step
 from ecatspec.model.core.memo import once
 from ecatspec.model.oracle.explanations import Candidate, Pending, with_alarms
-from ecatspec.spec.language.scope import IMAGE
+from ecatspec.spec.language.functions import IMAGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -32,7 +32,7 @@ from ecatspec.model.oracle.judged import (
 )
 from ecatspec.model.oracle.knowledge import Knowledge, reasons_of
 from ecatspec.model.oracle.reads import left
-from ecatspec.spec.language.scope import names_in
+from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator

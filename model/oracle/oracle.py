@@ -55,7 +55,7 @@ from ecatspec.model.oracle.writes import (
     write_registers,
     written_registers,
 )
-from ecatspec.spec.language.scope import IMAGE
+from ecatspec.spec.language.functions import IMAGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -35,12 +35,10 @@ from ecatspec.model.symbolic.terms import (
     negated,
     settled,
 )
-from ecatspec.spec.language.pretty import pretty_expression
-from ecatspec.spec.language.scope import (
-    REPLY,
-    bounds_of,
-    frame_fields,
-)
+from ecatspec.spec.language.functions import REPLY
+from ecatspec.spec.language.kinds import bounds_of
+from ecatspec.spec.language.pretty_expressions import pretty_expression
+from ecatspec.spec.language.scope import frame_fields
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping

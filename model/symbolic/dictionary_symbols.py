@@ -24,8 +24,8 @@ from ecatspec.model.symbolic.terms import (
     negated,
     within,
 )
+from ecatspec.spec.language.functions import FUNCTIONS
 from ecatspec.spec.language.ir import Access, Bool, Bytes, SInt
-from ecatspec.spec.language.scope import FUNCTIONS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

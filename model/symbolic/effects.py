@@ -11,7 +11,8 @@ from ecatspec.model.symbolic.obligations import Finding, Obligation, Status
 from ecatspec.model.symbolic.symbolic_state import Anything, Content, Moment
 from ecatspec.model.symbolic.terms import Answer, Term, equal, negated, with_value
 from ecatspec.spec.language.ir import Gap, Name
-from ecatspec.spec.language.scope import Scope, nodes_in
+from ecatspec.spec.language.nodes import nodes_in
+from ecatspec.spec.language.scope import Scope
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

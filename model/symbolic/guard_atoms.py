@@ -18,8 +18,9 @@ from ecatspec.model.symbolic.terms import (
     negated,
 )
 from ecatspec.spec.language.ir import Binary, Conditional, In, Name, Range, Unary
-from ecatspec.spec.language.pretty import pretty_expression
-from ecatspec.spec.language.scope import DefinitionRef, Scope, resolve
+from ecatspec.spec.language.pretty_expressions import pretty_expression
+from ecatspec.spec.language.references import DefinitionRef
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

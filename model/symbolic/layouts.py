@@ -9,7 +9,7 @@ from ecatspec.model.core.register_map import BOOTSTRAP
 from ecatspec.model.core.wording import typed_words
 from ecatspec.model.symbolic.obligations import Finding, Obligation, Status
 from ecatspec.spec.language.ir import Area, Bool, Bytes, Literal
-from ecatspec.spec.language.scope import bounds_of
+from ecatspec.spec.language.kinds import bounds_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -21,8 +21,8 @@ from ecatspec.model.symbolic.renewed_solver import ForgetfulSolver
 from ecatspec.model.symbolic.symbolic_execution import Chains
 from ecatspec.model.symbolic.symbolic_state import Chain, Content, Fired
 from ecatspec.model.symbolic.terms import Answer, key_of
+from ecatspec.spec.language.functions import REPLY
 from ecatspec.spec.language.ir import Bool, Literal, Rule
-from ecatspec.spec.language.scope import REPLY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -27,6 +27,7 @@ from ecatspec.model.symbolic.terms import (
     negated,
     within,
 )
+from ecatspec.spec.language.functions import EDGES, FUNCTIONS, REPLY
 from ecatspec.spec.language.ir import (
     STANDARD,
     Access,
@@ -45,11 +46,9 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
-from ecatspec.spec.language.pretty import pretty_expression
-from ecatspec.spec.language.scope import (
-    EDGES,
-    FUNCTIONS,
-    REPLY,
+from ecatspec.spec.language.kinds import bounds_of, kind_of_ref
+from ecatspec.spec.language.pretty_expressions import pretty_expression
+from ecatspec.spec.language.references import (
     AlternativeRef,
     ChoiceRef,
     ConditionRef,
@@ -61,14 +60,11 @@ from ecatspec.spec.language.scope import (
     Ref,
     RegisterFieldRef,
     ReplyField,
-    Scope,
     StateRef,
     VariableRef,
     WordFieldRef,
-    bounds_of,
-    kind_of_ref,
-    resolve,
 )
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from ecatspec.spec.language.ir import Protocol, Type

@@ -24,8 +24,11 @@ from ecatspec.model.symbolic.symbolic_state import (
     Moment,
 )
 from ecatspec.model.symbolic.terms import Term, all_of, any_of, counted, equal
+from ecatspec.spec.language.functions import REPLY
 from ecatspec.spec.language.ir import Bool, Bytes, Gap, Rule
-from ecatspec.spec.language.scope import REPLY, Scope, frame_fields, names_in, width_of
+from ecatspec.spec.language.kinds import width_of
+from ecatspec.spec.language.nodes import names_in
+from ecatspec.spec.language.scope import Scope, frame_fields
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

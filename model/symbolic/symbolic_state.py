@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from ecatspec.model.core.state import RuleName
     from ecatspec.model.symbolic.terms import Term
     from ecatspec.spec.language.ir import Gap, Rule
-    from ecatspec.spec.language.scope import Kind, Scope
+    from ecatspec.spec.language.references import Kind
+    from ecatspec.spec.language.scope import Scope
 
 
 @dataclass(frozen=True, slots=True)

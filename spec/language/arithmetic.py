@@ -6,14 +6,13 @@ import operator
 from typing import TYPE_CHECKING, Any, Final
 
 from ecatspec.spec.language.ir import Binary, Literal, Name, Unary
-from ecatspec.spec.language.scope import (
+from ecatspec.spec.language.references import (
     ConstantRef,
     DefinitionRef,
     ParameterRef,
-    Scope,
     UnresolvedName,
-    resolve,
 )
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Callable

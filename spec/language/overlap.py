@@ -13,94 +13,54 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
-from ecatspec.spec.language.arithmetic import calculated
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
 from ecatspec.spec.language.ir import (
     STANDARD,
-    AnyValue,
     Binary,
-    Bool,
     Call,
-    Conditional,
     Extend,
     Gap,
-    In,
-    Literal,
-    Name,
-    Named,
-    OneOf,
-    Range,
     Remove,
     Replace,
-    Rule,
-    Time,
     Unary,
 )
-from ecatspec.spec.language.logic import COMPARED, junction
-from ecatspec.spec.language.scope import (
-    EDGES,
-    EXCLUSIVE,
-    FUNCTIONS,
-    IMPLIES,
+from ecatspec.spec.language.references import (
     AlternativeRef,
     ChoiceRef,
     ConditionRef,
     ConstantRef,
     DefinitionRef,
-    Kind,
     ParameterOfInput,
     ParameterRef,
-    Ref,
     RegisterFieldRef,
     ReplyField,
-    Scope,
     StateRef,
     VariableRef,
     WordFieldRef,
-    bounds_of,
-    expectation,
-    kind_of,
-    kind_of_ref,
-    resolve,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from ecatspec.spec.language.ir import Expression, Machine, Protocol, Span
 
-BUDGET: Final = 20_000
-"""How many partial combinations are looked at before a pair of rules is given up."""
+from ecatspec.spec.language.overlap_guards import Guard
+from ecatspec.spec.language.overlap_search import (
+    Dimension,
+    Environment,
+    Row,
+    Sample,
+    search_samples,
+    shared_samples,
+)
 
 _INPUT: Final = "input"
 _SOURCES: Final = "from"
-
-_Value: TypeAlias = int | str
-_Dimension: TypeAlias = Ref | Call | Binary
-_Row: TypeAlias = Rule | Gap
-_Test: TypeAlias = "Callable[[_Environment], _Value | None]"
-_Limited: TypeAlias = _Dimension | str
-Limits: TypeAlias = Mapping[_Limited, AbstractSet[_Value]]
+_Limited: TypeAlias = Dimension | str
+Limits: TypeAlias = Mapping[_Limited, AbstractSet[Sample]]
 """What a row needs: the values, all told, that some dimensions may have, its states, its input."""
-_Waiting: TypeAlias = "tuple[_Test, tuple[_Dimension, ...]]"
-"""A test that is not decided, and the dimensions that it asks for."""
-
-
-class _Environment(dict[_Dimension, _Value]):
-    """Values of dimensions; `missing` are those that were asked for and have none yet."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.missing: dict[_Dimension, None] = {}
-
-    def value(self, dimension: _Dimension) -> _Value | None:
-        found = self.get(dimension)
-        if found is None:
-            self.missing[dimension] = None
-        return found
 
 
 def meaning(protocol: Protocol) -> list[Diagnostic]:
@@ -130,8 +90,8 @@ def _changed(protocol: Protocol, machine: Machine) -> dict[str, Span]:
 
 def _overlaps(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
     changed = _changed(protocol, machine)
-    rows: tuple[_Row, ...] = (*machine.rules, *machine.gaps)
-    guards = [_Guard(protocol, machine, row, pinned=True) for row in rows]
+    rows: tuple[Row, ...] = (*machine.rules, *machine.gaps)
+    guards = [Guard(protocol, machine, row, pinned=True) for row in rows]
     limits = [
         {_INPUT: {row.input}, _SOURCES: set(row.sources), **guard.limits}
         for row, guard in zip(rows, guards, strict=True)
@@ -157,11 +117,11 @@ def _overlaps(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
 def _dead_rules(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
     """Rules that never fire; in a device text only what it replaces, since it may silence rules."""
     replaced = _changed(protocol, machine)
-    rows: tuple[_Row, ...] = (*machine.rules, *machine.gaps)
+    rows: tuple[Row, ...] = (*machine.rules, *machine.gaps)
     for rule in rows:
         if protocol.name != STANDARD and rule.name not in replaced:
             continue
-        guard = _Guard(protocol, machine, rule, pinned=False)
+        guard = Guard(protocol, machine, rule, pinned=False)
         if not guard.calculates and guard.never():
             yield Diagnostic(
                 Code.ECS302,
@@ -194,9 +154,6 @@ def _unreachable(protocol: Protocol, machine: Machine) -> Iterator[Diagnostic]:
             )
 
 
-# --- which rows may meet --------------------------------------------------------------------------
-
-
 def pairs_that_may_meet(limits: Sequence[Limits]) -> set[tuple[int, int]]:
     """Give all pairs of rows, by their places, that no limit keeps apart.
 
@@ -215,7 +172,7 @@ def pairs_that_may_meet(limits: Sequence[Limits]) -> set[tuple[int, int]]:
         limited = [row for row in rows if divider in limits[row]]
         crossed = ((min(p), max(p)) for p in itertools.product(free, limited))
         found.update(p for p in crossed if _may_meet(limits, *p))
-        with_value: dict[_Value, list[int]] = {}
+        with_value: dict[Sample, list[int]] = {}
         for row in limited:
             for value in limits[row][divider]:
                 with_value.setdefault(value, []).append(row)
@@ -234,7 +191,7 @@ def _divider(
 ) -> _Limited | None:
     """Give what leaves the fewest pairs to look at; None: nothing leaves fewer than all."""
     limited: Counter[_Limited] = Counter()
-    with_value: Counter[tuple[_Limited, _Value]] = Counter()
+    with_value: Counter[tuple[_Limited, Sample]] = Counter()
     for row in rows:
         for key, values in limits[row].items():
             if key not in used:
@@ -249,10 +206,7 @@ def _divider(
     return None if best is None or left[best] >= math.comb(count, 2) else best
 
 
-# --- search --------------------------------------------------------------------------------------
-
-
-def _both(one: _Guard, other: _Guard) -> _Environment | None:
+def _both(one: Guard, other: Guard) -> Environment | None:
     """Sample values that make both guards true."""
     for mine, claims in ((one.claims, other.claims), (other.claims, one.claims)):
         if any(_refuted(value, claims, holds=holds) for value, holds in mine):
@@ -261,8 +215,8 @@ def _both(one: _Guard, other: _Guard) -> _Environment | None:
         d: one.samples.get(d, set()) | other.samples.get(d, set())
         for d in {**one.samples, **other.samples}
     }
-    samples = _shared(samples, one.pairs | other.pairs)
-    return _search([*one.tests, *other.tests], samples)
+    samples = shared_samples(samples, one.pairs | other.pairs)
+    return search_samples([*one.tests, *other.tests], samples)
 
 
 def _refuted(value: Expression, claims: set[tuple[Expression, bool]], *, holds: bool) -> bool:
@@ -279,101 +233,12 @@ def _refuted(value: Expression, claims: set[tuple[Expression, bool]], *, holds: 
             return False
 
 
-def _shared(
-    samples: dict[_Dimension, set[_Value]], pairs: set[tuple[_Dimension, _Dimension]]
-) -> dict[_Dimension, set[_Value]]:
-    """Dimensions that are compared with each other get each other's samples."""
-    for _ in range(2):
-        for one, other in pairs:
-            if one in samples and other in samples:
-                together = samples[one] | samples[other]
-                samples = samples | {one: together, other: together}
-    return samples
-
-
-def _search(tests: Sequence[_Test], samples: dict[_Dimension, set[_Value]]) -> _Environment | None:
-    """Depth first, along the test that asks for least, with a cut where one is false for sure.
-
-    What is decided stays so, and what is not changes only with a dimension that it asked for.
-    """
-    environment = _Environment()
-    budget = BUDGET
-
-    def found(waiting: Sequence[_Waiting], given: _Dimension | None) -> bool:
-        nonlocal budget
-        left: list[_Waiting] = []
-        for row in waiting:
-            if given is not None and given not in row[1]:
-                left.append(row)
-                continue
-            environment.missing.clear()
-            result = row[0](environment)
-            if result is None:
-                left.append((row[0], tuple(environment.missing)))
-            elif not result:
-                return False
-        if not _possible(environment):
-            return False
-        if not left:
-            return True
-        fewest = min((asked for _, asked in left), key=len)
-        for value in sorted(samples.get(fewest[0], ()), key=_order) if fewest else ():
-            budget -= 1
-            if budget <= 0:
-                break
-            environment[fewest[0]] = value
-            if found(left, fewest[0]):
-                return True
-        if fewest:
-            environment.pop(fewest[0], None)
-        return False
-
-    return environment if found([(test, ()) for test in tests], None) else None
-
-
-def _order(value: _Value) -> tuple[bool, int, str]:
-    return (isinstance(value, str), value if isinstance(value, int) else 0, str(value))
-
-
-def _possible(environment: _Environment) -> bool:
-    """Whether the answers of functions agree with each other, and edges with what they lead to."""
-    held = {
-        (d.function, d.arguments): bool(value)
-        for d, value in environment.items()
-        if isinstance(d, Call)
-    }
-    if not held:
-        return True
-    for first, second in IMPLIES:
-        few = len(FUNCTIONS[second].arguments)
-        for (function, arguments), holds in held.items():
-            if function == first and holds and held.get((second, arguments[:few])) is False:
-                return False
-    for (function, arguments), holds in held.items():
-        match arguments:
-            case (Name(path),) if holds and function in EDGES:
-                now = environment.get(ParameterOfInput(path))
-                if now is not None and bool(now) is not EDGES[function]:
-                    return False
-            case _:
-                pass
-    for group in EXCLUSIVE:
-        true = [
-            arguments
-            for (function, arguments), holds in held.items()
-            if function in group and holds
-        ]
-        if len(true) != len(set(true)):
-            return False
-    return True
-
-
-def _wording(example: _Environment) -> str:
+def _wording(example: Environment) -> str:
     words = [f"{_name(dimension)} = {value}" for dimension, value in example.items()]
     return f", for instance with {', '.join(words)}" if words else ""
 
 
-def _name(dimension: _Dimension) -> str:
+def _name(dimension: Dimension) -> str:
     match dimension:
         case VariableRef(machine, name):
             return f"{machine}.{name}"
@@ -397,293 +262,3 @@ def _name(dimension: _Dimension) -> str:
             return f"{table} {value}"
         case _:
             assert_never(dimension)
-
-
-# --- guards --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Operand:
-    """A part of a guard: how it is evaluated, which dimension it is, its constant value.
-
-    `limit`: it is false unless a dimension has one of these values.
-    """
-
-    test: _Test
-    dimension: _Dimension | None = None
-    constant: _Value | None = None
-    limit: tuple[_Dimension, frozenset[_Value]] | None = None
-
-
-_UNKNOWN: Final = _Operand(lambda _: None)
-
-
-class _Guard:
-    """A guard made ready for the search: three-valued tests and the samples of dimensions."""
-
-    def __init__(self, protocol: Protocol, machine: Machine, row: _Row, *, pinned: bool) -> None:
-        self._protocol = protocol
-        self._scope = Scope(machine.name, row.input)
-        self._pinned = pinned
-        self.samples: dict[_Dimension, set[_Value]] = {}
-        self.pairs: set[tuple[_Dimension, _Dimension]] = set()
-        self._constants: set[int] = set()
-        self._numeric: set[_Dimension] = set()
-        self.calculates = False
-        self.claims: set[tuple[Expression, bool]] = set()
-        self.tests: list[_Test] = []
-        self.limits: dict[_Dimension, frozenset[_Value]] = {}
-        if row.guard is not None:
-            parts = self._conjuncts(row.guard, negated=False)
-            built = [self._build(part, Bool()) for part in parts]
-            self.tests = [operand.test for operand in built]
-            for dimension, values in (o.limit for o in built if o.limit is not None):
-                self.limits[dimension] = values & self.limits.get(dimension, values)
-        if self.calculates:
-            for dimension in self._numeric:
-                self._near(dimension, self._constants)
-
-    def never(self) -> bool:
-        """No combination of samples makes the guard true, and all of them were looked at."""
-        total = 1
-        for values in self.samples.values():
-            total *= len(values)
-        if total > BUDGET:
-            return False
-        return _search(self.tests, _shared(self.samples, self.pairs)) is None
-
-    # --- expressions ---
-
-    def _conjuncts(self, value: Expression, *, negated: bool) -> Iterator[Expression]:
-        """What must all hold for the expression to hold, or (negated) for it not to hold."""
-        self.claims.add((value, not negated))
-        match value:
-            case Binary("and", left, right) if not negated:
-                parts = [(left, False), (right, False)]
-            case Binary("or", left, right) if negated:
-                parts = [(left, True), (right, True)]
-            case Unary("not", operand):
-                parts = [(operand, not negated)]
-            case Name(path):
-                ref = resolve(self._protocol, path, self._scope, Bool())
-                parts = []
-                if isinstance(ref, DefinitionRef):
-                    parts = [(self._protocol.definitions[ref.name].value, negated)]
-            case _:
-                parts = []
-        for part, turned in parts:
-            yield from self._conjuncts(part, negated=turned)
-        if not parts:
-            yield Unary("not", value) if negated else value
-
-    def _build(self, value: Expression, expected: Kind | None) -> _Operand:
-        match value:
-            case Literal():
-                return self._fixed(int(value.value))
-            case Name(path):
-                return self._of_ref(resolve(self._protocol, path, self._scope, expected), expected)
-            case Unary("not", operand):
-                test = self._build(operand, Bool()).test
-                return _Operand(lambda e: None if (x := test(e)) is None else not x)
-            case Unary(_, operand):
-                inner = self._build(operand, None)
-                if isinstance(inner.constant, int):
-                    return self._fixed(-inner.constant)
-                test = inner.test
-                return _Operand(lambda e: -x if isinstance(x := test(e), int) else None)
-            case Binary("and", left, right):
-                first, second = self._build(left, Bool()), self._build(right, Bool())
-                return _Operand(junction((first.test, second.test), decisive=False, unknown=None))
-            case Binary("or", left, right):
-                first, second = self._build(left, Bool()), self._build(right, Bool())
-                return _Operand(junction((first.test, second.test), decisive=True, unknown=None))
-            case Binary(operator, left, right) if operator in COMPARED:
-                return self._comparison(value)
-            case Binary(operator, left, right):
-                self.calculates = True
-                one, other = self._build(left, None), self._build(right, None)
-                if isinstance(one.constant, int) and isinstance(other.constant, int):
-                    result = calculated(operator, one.constant, other.constant)
-                    return _UNKNOWN if result is None else self._fixed(result)
-                return _Operand(_numbers(operator, one.test, other.test))
-            case In(operand, items):
-                return self._membership(operand, items)
-            case Conditional(condition, then, otherwise):
-                return self._conditional(condition, then, otherwise, expected)
-            case Call():
-                return self._dimension(value, FUNCTIONS[value.function].result)
-            case OneOf() | AnyValue():
-                return _UNKNOWN
-            case _:
-                assert_never(value)
-
-    def _fixed(self, value: _Value) -> _Operand:
-        if isinstance(value, int):
-            self._constants.add(value)
-        return _Operand(_constantly(value=value), None, value)
-
-    def _conditional(
-        self, condition: Expression, then: Expression, otherwise: Expression, expected: Kind | None
-    ) -> _Operand:
-        asked = self._build(condition, Bool()).test
-        yes, no = self._build(then, expected).test, self._build(otherwise, expected).test
-
-        def test(environment: _Environment) -> _Value | None:
-            answer = asked(environment)
-            if answer is None:
-                return None
-            return yes(environment) if answer else no(environment)
-
-        return _Operand(test)
-
-    def _of_ref(self, ref: Ref, expected: Kind | None) -> _Operand:
-        match ref:
-            case ConstantRef(value, _):
-                return self._fixed(value)
-            case AlternativeRef(_, name):
-                return self._fixed(name)
-            case DefinitionRef(name):
-                return self._build(self._protocol.definitions[name].value, expected)
-            case ParameterRef(name, part):
-                values = self._protocol.parameters[name].value
-                return self._build(values[1 if part == "length" else 0], None)
-            case (
-                ParameterOfInput() | ReplyField() | VariableRef() | StateRef() | RegisterFieldRef()
-            ):
-                return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
-            case WordFieldRef() | ChoiceRef() | ConditionRef():
-                return self._dimension(ref, kind_of_ref(self._protocol, ref, self._scope))
-            case _:
-                assert_never(ref)
-
-    def _dimension(self, dimension: _Dimension, kind: Kind | None) -> _Operand:
-        if dimension not in self.samples:
-            self.samples[dimension] = self._first_samples(dimension, kind)
-            if not isinstance(kind, Bool | ChoiceRef):
-                self._numeric.add(dimension)
-        if isinstance(kind, Bool):
-            return _Operand(lambda e: _truth(e.value(dimension)), dimension)
-        return _Operand(lambda e: e.value(dimension), dimension)
-
-    def _first_samples(self, dimension: _Dimension, kind: Kind | None) -> set[_Value]:
-        match kind:
-            case ChoiceRef(name):
-                if self._pinned and name in self._protocol.pins:
-                    return {self._protocol.pins[name].alternative}
-                return {way.name for way in self._protocol.choices[name].alternatives}
-            case Named(table) if isinstance(dimension, StateRef):
-                rows = self._protocol.tables[table].rows
-                states = self._protocol.machines[dimension.machine].states
-                return {row.value for row in rows if row.name in states}
-            case _:
-                bounds = None if kind is None else bounds_of(self._protocol, kind)
-                return set() if bounds is None else set(bounds)
-
-    def _near(self, dimension: _Dimension, constants: set[int]) -> None:
-        """Numbers next to what a dimension is compared with, as far as its type has them."""
-        if isinstance(dimension, StateRef) or not self.samples[dimension]:
-            return
-        numbers = [n for n in self.samples[dimension] if isinstance(n, int)]
-        if not numbers:
-            return
-        low, high = min(numbers), max(numbers)
-        near = {n + step for n in constants for step in (-1, 0, 1)}
-        self.samples[dimension] |= {n for n in near if low <= n <= high}
-
-    def _related(self, one: _Operand, other: _Operand) -> None:
-        if one.dimension is not None and other.dimension is not None:
-            self.pairs.add((one.dimension, other.dimension))
-        for side, against in ((one, other), (other, one)):
-            if side.dimension is not None and isinstance(against.constant, int):
-                self._near(side.dimension, {against.constant})
-
-    def _comparison(self, value: Binary) -> _Operand:
-        if kind_of(self._protocol, value.left, self._scope) == Time():
-            return self._dimension(value, Bool())
-        of_right = expectation(self._protocol, value.left, self._scope)
-        of_left = expectation(self._protocol, value.right, self._scope)
-        left, right = self._build(value.left, of_left), self._build(value.right, of_right)
-        if self._opaque(left) or self._opaque(right):
-            for side in (left, right):
-                if side.dimension is not None:
-                    self.samples.pop(side.dimension, None)
-            return self._dimension(value, Bool())
-        self._related(left, right)
-        limit = None
-        if value.operator == "==":
-            limit = _limit(left, [right]) or _limit(right, [left])
-        return _Operand(_compared(value.operator, left.test, right.test), limit=limit)
-
-    def _opaque(self, operand: _Operand) -> bool:
-        """A dimension without samples: bytes. What is compared with it is a truth of its own."""
-        return operand.dimension is not None and not self.samples.get(operand.dimension)
-
-    def _membership(self, operand: Expression, items: tuple[Expression | Range, ...]) -> _Operand:
-        expected = expectation(self._protocol, operand, self._scope)
-        subject = self._build(operand, expected)
-        tests: list[_Test] = []
-        singles: list[_Operand] = []
-        for item in items:
-            if isinstance(item, Range):
-                low, high = self._build(item.low, expected), self._build(item.high, expected)
-                self._related(subject, low)
-                self._related(subject, high)
-                tests.append(
-                    junction(
-                        (
-                            _compared(">=", subject.test, low.test),
-                            _compared("<=", subject.test, high.test),
-                        ),
-                        decisive=False,
-                        unknown=None,
-                    )
-                )
-            else:
-                single = self._build(item, expected)
-                singles.append(single)
-                self._related(subject, single)
-                tests.append(_compared("==", subject.test, single.test))
-        test = junction(tests, decisive=True, unknown=None)
-        limit = _limit(subject, singles) if len(singles) == len(items) else None
-        return _Operand(test, limit=limit)
-
-
-def _limit(
-    subject: _Operand, values: Sequence[_Operand]
-) -> tuple[_Dimension, frozenset[_Value]] | None:
-    """Give what a subject that equals one of these values is limited to, if all are constant."""
-    constants = frozenset(v.constant for v in values if v.constant is not None)
-    if subject.dimension is None or any(v.constant is None for v in values):
-        return None
-    return subject.dimension, constants
-
-
-def _constantly(*, value: _Value) -> _Test:
-    return lambda _: value
-
-
-def _truth(value: _Value | None) -> bool | None:
-    return None if value is None else bool(value)
-
-
-def _compared(operator: str, one: _Test, other: _Test) -> _Test:
-    def test(environment: _Environment) -> _Value | None:
-        left, right = one(environment), other(environment)
-        if left is None or right is None:
-            return None
-        if operator not in {"==", "!="} and (isinstance(left, str) or isinstance(right, str)):
-            return None
-        found: bool = COMPARED[operator](left, right)
-        return found
-
-    return test
-
-
-def _numbers(operator: str, one: _Test, other: _Test) -> _Test:
-    def test(environment: _Environment) -> _Value | None:
-        left, right = one(environment), other(environment)
-        if isinstance(left, int) and isinstance(right, int):
-            return calculated(operator, left, right)
-        return None
-
-    return test

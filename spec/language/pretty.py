@@ -6,23 +6,16 @@ Comments are no part of the IR: this is for showing a specification, not for rew
 from __future__ import annotations
 
 from itertools import groupby
-from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
+from typing import TYPE_CHECKING, assert_never
 
 from ecatspec.spec.language.ir import (
     Alternative,
     Anomaly,
-    AnyValue,
-    Area,
-    Binary,
-    Bool,
-    Bytes,
-    Call,
     Choice,
     Clause,
     Close,
     CodeTable,
     Condition,
-    Conditional,
     Confirm,
     Definition,
     Dictionary,
@@ -33,21 +26,15 @@ from ecatspec.spec.language.ir import (
     Frame,
     Gap,
     Give,
-    In,
     Input,
     Later,
-    Literal,
     Machine,
     Manual,
-    Name,
-    Named,
     ObjectEntry,
-    OneOf,
     Open,
     Parameter,
     Pin,
     Property,
-    Range,
     Reason,
     Register,
     Remove,
@@ -56,54 +43,28 @@ from ecatspec.spec.language.ir import (
     Rule,
     Send,
     SetParameter,
-    SInt,
     SourceText,
-    Text,
-    Time,
-    Type,
-    UInt,
-    Unary,
     Word,
 )
-from ecatspec.spec.language.parse import MICROSECONDS, TIME_DIGITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from ecatspec.spec.language.ir import Declaration, Expression, FrameField, RegisterField, Update
 
-_Line: TypeAlias = (
-    Clause
-    | Manual
-    | Parameter
-    | SetParameter
-    | ObjectEntry
-    | EsiEntry
-    | Dictionary
-    | Pin
-    | Open
-    | Confirm
-    | Close
-    | Remove
-)
-"""Declarations of one line, which stand under each other without an empty line."""
-
-_WIDTH: Final = 100
-_DECIMAL: Final = 16
-"""Tables whose values are all below are written in decimal."""
-
-# How tightly an operator binds; what binds looser than its place asks for gets parentheses.
-_LOOSEST: Final = 0
-_OR: Final = 1
-_AND: Final = 2
-_NOT: Final = 3
-_COMPARISON: Final = 4
-_SUM: Final = 5
-_PRODUCT: Final = 6
-_PREFIX: Final = 7
-_ATOM: Final = 8
-_BINDING: Final = (
-    {"or": _OR, "and": _AND} | dict.fromkeys("+-|&", _SUM) | dict.fromkeys("*/%", _PRODUCT)
+from ecatspec.spec.language.pretty_expressions import (
+    DECIMAL,
+    WIDTH,
+    Line,
+    broken_text,
+    hex_text,
+    ids_text,
+    in_columns,
+    paragraph_of,
+    pretty_expression,
+    pretty_type,
+    set_text,
+    value_of_parameter,
 )
 
 
@@ -120,7 +81,7 @@ def pretty_blocks(declarations: Iterable[Declaration]) -> list[str]:
     blocks = []
     for kind, group in groupby(declarations, type):
         members = list(group)
-        if issubclass(kind, _Line):
+        if issubclass(kind, Line):
             blocks.append("\n".join(_lines(members)))
         else:
             blocks.extend("\n".join(_block(member)) for member in members)
@@ -132,161 +93,15 @@ def pretty_rule(row: Rule | Gap) -> str:
     return "\n".join(_rule(row))
 
 
-# --- expressions ---------------------------------------------------------------------------------
-
-
-def pretty_expression(expression: Expression | Range, place: int = _LOOSEST) -> str:
-    """An expression with no more parentheses than its place asks for."""
-    words, binding = _expression(expression)
-    return words if binding >= place else f"({words})"
-
-
-def _expression(expression: Expression | Range) -> tuple[str, int]:
-    binding = _ATOM
-    match expression:
-        case Literal(value, digits):
-            words = _literal(value, digits)
-        case Name(path):
-            words = path
-        case Unary("not", operand):
-            words, binding = f"not {pretty_expression(operand, _NOT)}", _NOT
-        case Unary(_, operand):
-            words, binding = f"-{pretty_expression(operand, _PREFIX)}", _PREFIX
-        case Binary(operator, left, right):
-            binding = _BINDING.get(operator, _COMPARISON)
-            before = binding + (binding == _COMPARISON)
-            one, other = pretty_expression(left, before), pretty_expression(right, binding + 1)
-            words = f"{one} {operator} {other}"
-        case In(operand, items):
-            words, binding = f"{pretty_expression(operand, _SUM)} in {_set(items)}", _COMPARISON
-        case Conditional(condition, then, otherwise):
-            parts = (pretty_expression(part) for part in (condition, then, otherwise))
-            words, binding = "if {} then {} else {}".format(*parts), _LOOSEST
-        case Call(function, arguments):
-            words = f"{function}({', '.join(map(pretty_expression, arguments))})"
-        case OneOf(items, excluded):
-            words = f"one of {_set(items)}"
-            if excluded is not None:
-                words += f" except {pretty_expression(excluded, _PREFIX)}"
-        case AnyValue(preferred):
-            words = "any"
-            if preferred is not None:
-                words += f" preferably {pretty_expression(preferred, _PREFIX)}"
-        case Range(low, high):
-            words = f"{pretty_expression(low)}..{pretty_expression(high)}"
-        case _:
-            assert_never(expression)
-    return words, binding
-
-
-def _literal(value: int, digits: int) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    return f"0x{value:0{digits}X}" if digits > 0 else str(value)
-
-
-def _set(items: Iterable[Expression | Range]) -> str:
-    words = ", ".join(map(pretty_expression, items))
-    return f"{{ {words} }}" if words else "{ }"
-
-
-def _chain(expression: Expression, operator: str) -> list[Expression]:
-    match expression:
-        case Binary(own, left, right) if own == operator:
-            return [*_chain(left, operator), right]
-        case _:
-            return [expression]
-
-
-def _paragraph(word: str, expression: Expression) -> list[str]:
-    """A guard; one that is too long for a line is broken at its outermost `and` or `or`."""
-    return _broken(f"  {word:<6} ", "         ", expression)
-
-
-def _broken(start: str, indent: str, expression: Expression) -> list[str]:
-    line = start + pretty_expression(expression)
-    if len(line) <= _WIDTH or not isinstance(expression, Binary):
-        return [line]
-    operator = expression.operator
-    if operator not in {"and", "or"}:
-        return [line]
-    first, *rest = _chain(expression, operator)
-    binding = _BINDING[operator]
-    lines = [start + pretty_expression(first, binding)]
-    return lines + [f"{indent}{operator} {pretty_expression(e, binding + 1)}" for e in rest]
-
-
-# --- small parts ---------------------------------------------------------------------------------
-
-
-def pretty_type(kind: Type) -> str:
-    """A type as it is written after a colon."""
-    match kind:
-        case UInt(width):
-            return f"u{width}"
-        case SInt(width):
-            return f"i{width}"
-        case Bool():
-            return "bool"
-        case Named(table):
-            return table
-        case Bytes(length):
-            return "bytes" if length is None else f"bytes({pretty_expression(length)})"
-        case Text(maximum):
-            return f"text({maximum})"
-        case Area():
-            return "area"
-        case Time():
-            return "time"
-        case _:
-            assert_never(kind)
-
-
-def _ids(clauses: Sequence[str]) -> str:
-    return f"[{', '.join(clauses)}]" if clauses else ""
-
-
-def _parameter_value(value: tuple[Expression, ...], kind: Type | None) -> str:
-    match value:
-        case (Literal(number, digits),) if digits == TIME_DIGITS or isinstance(kind, Time):
-            if not isinstance(number, bool):
-                unit = next(u for u in ("s", "ms", "us") if number % MICROSECONDS[u] == 0)
-                return f"{number // MICROSECONDS[unit]} {unit}"
-        case (start, length):
-            return f"area({pretty_expression(start)}, {pretty_expression(length)})"
-        case _:
-            pass
-    return pretty_expression(value[0])
-
-
-def _columns(rows: Sequence[Sequence[str]], indent: str = "") -> list[str]:
-    """Rows of a table, each column as wide as its widest cell."""
-    if not rows:
-        return []
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = (
-        "  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True) if width)
-        for row in rows
-    )
-    return [f"{indent}{line}".rstrip() for line in lines]
-
-
-def _hex(value: int, digits: int) -> str:
-    return f"0x{value:0{digits}X}"
-
-
-# --- declarations of one line --------------------------------------------------------------------
-
-
 def _lines(members: Sequence[Declaration]) -> list[str]:
     rows = [_cells(member) for member in members]
     if isinstance(members[0], ObjectEntry):
-        return ["objects", *_columns(rows, "  ")]
+        return ["objects", *in_columns(rows, "  ")]
     if isinstance(members[0], EsiEntry):
-        return ["esi", *_columns(rows, "  ")]
+        return ["esi", *in_columns(rows, "  ")]
     if isinstance(members[0], Clause):
         return ["  ".join(filter(None, row)) for row in _padded(rows)]
-    return _columns(rows)
+    return in_columns(rows)
 
 
 def _padded(rows: Sequence[Sequence[str]]) -> Iterable[Sequence[str]]:
@@ -298,7 +113,7 @@ def _padded(rows: Sequence[Sequence[str]]) -> Iterable[Sequence[str]]:
 def _cells(member: Declaration) -> tuple[str, ...]:
     match member:
         case Clause(name, level, wording, source, claims, because):
-            cited = f"claims {_ids(claims)}" if claims else ""
+            cited = f"claims {ids_text(claims)}" if claims else ""
             why = "" if because is None else f'because "{because}"'
             return f"clause {name}", level.value, f'"{wording}"', f'source "{source}"', cited, why
         case Manual(file, edition, claims):
@@ -306,27 +121,32 @@ def _cells(member: Declaration) -> tuple[str, ...]:
             return f'manual "{file}"', f'"{edition}"', row
         case Parameter(name, kind, value, clauses):
             word = f": {pretty_type(kind)}"
-            return f"parameter {name}", word, f"= {_parameter_value(value, kind)}", _ids(clauses)
+            return (
+                f"parameter {name}",
+                word,
+                f"= {value_of_parameter(value, kind)}",
+                ids_text(clauses),
+            )
         case SetParameter(name, value, clauses):
-            return f"parameter {name}", f"= {_parameter_value(value, None)}", _ids(clauses)
+            return f"parameter {name}", f"= {value_of_parameter(value, None)}", ids_text(clauses)
         case ObjectEntry():
             return _object_cells(member)
         case EsiEntry(path, value, clauses):
             shown = f'"{value}"' if isinstance(value, str) else str(value)
-            return f'"{path}"', f"= {shown}", _ids(clauses)
+            return f'"{path}"', f"= {shown}", ids_text(clauses)
         case Dictionary(closed, clauses):
-            return f"dictionary {'closed' if closed else 'open'}", _ids(clauses)
+            return f"dictionary {'closed' if closed else 'open'}", ids_text(clauses)
         case Pin(choice, alternative, clauses):
-            return f"pin {choice}", f"= {alternative}", _ids(clauses)
+            return f"pin {choice}", f"= {alternative}", ids_text(clauses)
         case Open(choice, clauses):
-            return f"open {choice}", _ids(clauses)
+            return f"open {choice}", ids_text(clauses)
         case Confirm(targets, clauses):
             named = ", ".join(f"{kind} {name}" for kind, name in targets)
-            return f"confirm {named}", _ids(clauses)
+            return f"confirm {named}", ids_text(clauses)
         case Close(table, values, clauses):
-            return f"closed {table} {_set(values)}", _ids(clauses)
+            return f"closed {table} {set_text(values)}", ids_text(clauses)
         case Remove(machine, rule, clauses):
-            return f"remove rule {machine}.{rule}", _ids(clauses)
+            return f"remove rule {machine}.{rule}", ids_text(clauses)
         case _:
             raise TypeError(member)
 
@@ -340,7 +160,7 @@ def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
     if default is not None:
         default = f'= "{default}"' if isinstance(default, str) else f"= {default}"
     return (
-        f"{_hex(entry.index, 4)} : {entry.subindex}",
+        f"{hex_text(entry.index, 4)} : {entry.subindex}",
         entry.name,
         pretty_type(entry.type),
         entry.access.value,
@@ -350,11 +170,8 @@ def _object_cells(entry: ObjectEntry) -> tuple[str, ...]:
         "" if entry.low is None else f"range {entry.low} .. {entry.high}",
         default or "",
         "" if entry.maps is None else f"maps {entry.maps}",
-        _ids(entry.clauses),
+        ids_text(entry.clauses),
     )
-
-
-# --- declarations of several lines ---------------------------------------------------------------
 
 
 def _block(member: Declaration) -> list[str]:
@@ -373,24 +190,28 @@ def _block(member: Declaration) -> list[str]:
             return _machine(member)
         case Choice(name, wording, alternatives, clauses):
             ways = [(f"| {way.name}", f'"{way.wording}"', _risk(way)) for way in alternatives]
-            return [f'choice {name} "{wording}" {_ids(clauses)}', *_columns(ways, "  ")]
+            return [f'choice {name} "{wording}" {ids_text(clauses)}', *in_columns(ways, "  ")]
         case Condition(name, wording, assumed, clauses):
             word = "true" if assumed else "false"
-            return [f'condition {name} "{wording}" assumed {word} {_ids(clauses)}']
+            return [f'condition {name} "{wording}" assumed {word} {ids_text(clauses)}']
         case Definition(name, wording, value, clauses):
-            lines = _broken("    ", "    ", value)
-            return [f'define {name} "{wording}" =', *lines[:-1], f"{lines[-1]}  {_ids(clauses)}"]
+            lines = broken_text("    ", "    ", value)
+            return [
+                f'define {name} "{wording}" =',
+                *lines[:-1],
+                f"{lines[-1]}  {ids_text(clauses)}",
+            ]
         case Property(name, wording, value, clauses):
-            lines = _broken("    ", "    ", value)
+            lines = broken_text("    ", "    ", value)
             return [
                 f'property {name} "{wording}" always',
                 *lines[:-1],
-                f"{lines[-1]}  {_ids(clauses)}",
+                f"{lines[-1]}  {ids_text(clauses)}",
             ]
         case Replace() | Extend() | ReplaceField():
             return _change(member)
         case Fault(name, wording, clauses, quirk, changes):
-            lines = [f'fault {name} "{wording}" {_ids(clauses)}']
+            lines = [f'fault {name} "{wording}" {ids_text(clauses)}']
             lines += [] if quirk is None else [f"  quirk {quirk}"]
             for change in changes:
                 lines += [f"  {line}".rstrip() for line in _change(change)]
@@ -400,11 +221,11 @@ def _block(member: Declaration) -> list[str]:
                 f"anomaly {name} {subject}",
                 f'  printed   "{printed}"',
                 f'  normative "{normative}"',
-                f'  treatment "{treatment}"  {_ids(clauses)}'.rstrip(),
+                f'  treatment "{treatment}"  {ids_text(clauses)}'.rstrip(),
             ]
         case Example(name, request, response, clauses):
             return [
-                f"example {name} {_ids(clauses)}",
+                f"example {name} {ids_text(clauses)}",
                 f'  request  hex"{request.hex(" ").upper()}"',
                 f'  response hex"{response.hex(" ").upper()}"',
             ]
@@ -415,62 +236,64 @@ def _block(member: Declaration) -> list[str]:
 def _change(member: Replace | Remove | Extend | ReplaceField) -> list[str]:
     match member:
         case Replace():
-            lines = [f"replace rule {member.machine}.{member.rule} {_ids(member.clauses)}"]
+            lines = [f"replace rule {member.machine}.{member.rule} {ids_text(member.clauses)}"]
             return lines + _paragraphs(member)
         case Remove():
             return ["  ".join(_cells(member)).rstrip()]
         case Extend():
             return [f"extend {member.machine}", *_machine_parts(member)]
         case ReplaceField(frame, name, clauses, reply, into):
-            words = f"replace field {frame}.{name} {_ids(clauses)} reply {pretty_expression(reply)}"
+            words = (
+                f"replace field {frame}.{name} {ids_text(clauses)} reply {pretty_expression(reply)}"
+            )
             return [words if into is None else f"{words} into {into}"]
         case _:
             assert_never(member)
 
 
 def _table(table: CodeTable) -> list[str]:
-    decimal = all(row.value < _DECIMAL for row in table.rows)
+    decimal = all(row.value < DECIMAL for row in table.rows)
     digits = (table.width + 3) // 4
     rows = [
         (
-            str(row.value) if decimal else _hex(row.value, digits),
+            str(row.value) if decimal else hex_text(row.value, digits),
             row.name,
             f'"{row.wording}"',
-            _ids(row.clauses),
+            ids_text(row.clauses),
         )
         for row in table.rows
     ]
     word = "closed" if table.closed else "open"
-    return [f"table {table.name} u{table.width} {word}", *_columns(rows, "  ")]
+    return [f"table {table.name} u{table.width} {word}", *in_columns(rows, "  ")]
 
 
 def _risk(way: Alternative) -> str:
-    return "" if way.risk is None else f'risky "{way.risk.wording}" {_ids(way.risk.clauses)}'
+    return "" if way.risk is None else f'risky "{way.risk.wording}" {ids_text(way.risk.clauses)}'
 
 
 def _register(register: Register) -> list[str]:
     head = (
-        f"register {register.name} at {_hex(register.address, 4)} size {register.size}"
+        f"register {register.name} at {hex_text(register.address, 4)} size {register.size}"
         f" main {register.main} device {register.device} reset {register.reset}"
-        f" {_ids(register.clauses)}"
+        f" {ids_text(register.clauses)}"
     )
-    return [head.rstrip(), *_columns([_register_field(f) for f in register.fields], "  ")]
+    return [head.rstrip(), *in_columns([_register_field(f) for f in register.fields], "  ")]
 
 
 def _word(word: Word) -> list[str]:
     head = f"word {word.name}"
     if word.key is not None:
-        head += f" in {_hex(word.key[0], 4)} : {word.key[1]}"
-    head += f" size {word.size} {_ids(word.clauses)}"
-    return [head.rstrip(), *_columns([_register_field(f) for f in word.fields], "  ")]
+        head += f" in {hex_text(word.key[0], 4)} : {word.key[1]}"
+    head += f" size {word.size} {ids_text(word.clauses)}"
+    return [head.rstrip(), *in_columns([_register_field(f) for f in word.fields], "  ")]
 
 
 def _reason(reason: Reason) -> list[str]:
     head = f'reason {reason.name} of {reason.machine}.{reason.rule} "{reason.wording}"'
     if reason.values:
         head += f" ({', '.join(map(pretty_expression, reason.values))})"
-    lines = _paragraph("when", reason.guard)
-    return [head, *lines[:-1], f"{lines[-1]}  {_ids(reason.clauses)}"]
+    lines = paragraph_of("when", reason.guard)
+    return [head, *lines[:-1], f"{lines[-1]}  {ids_text(reason.clauses)}"]
 
 
 def _register_field(field: RegisterField) -> tuple[str, ...]:
@@ -480,9 +303,9 @@ def _register_field(field: RegisterField) -> tuple[str, ...]:
         if field.shows.condition is not None:
             shows += f" when {pretty_expression(field.shows.condition)}"
         if (advised := field.shows.advised) is not None:
-            shows += f" should {pretty_expression(advised.value)} {_ids(advised.clauses)}"
+            shows += f" should {pretty_expression(advised.value)} {ids_text(advised.clauses)}"
     bits = f"bits {field.low}" + ("" if field.low == field.high else f"..{field.high}")
-    return bits, field.name, f": {pretty_type(field.type)}", shows, _ids(field.clauses)
+    return bits, field.name, f": {pretty_type(field.type)}", shows, ids_text(field.clauses)
 
 
 def _frame(frame: Frame) -> list[str]:
@@ -490,7 +313,7 @@ def _frame(frame: Frame) -> list[str]:
     if frame.parent is not None:
         head += f" in {frame.parent} when {_bindings(frame.conditions)}"
     rows = [_frame_field(field) for field in frame.fields]
-    return [f"{head} {_ids(frame.clauses)}".rstrip(), *_columns(rows, "  ")]
+    return [f"{head} {ids_text(frame.clauses)}".rstrip(), *in_columns(rows, "  ")]
 
 
 def _frame_field(field: FrameField) -> tuple[str, str]:
@@ -504,7 +327,7 @@ def _frame_field(field: FrameField) -> tuple[str, str]:
     if field.into is not None:
         words.append(f"into {field.into}")
     if field.clauses:
-        words.append(_ids(field.clauses))
+        words.append(ids_text(field.clauses))
     return field.name, " ".join(words)
 
 
@@ -526,8 +349,8 @@ def _machine_parts(machine: Machine | Extend) -> list[str]:
         (f"variable {v.name}", f": {pretty_type(v.type)}", f"= {pretty_expression(v.initial)}")
         for v in machine.variables
     ]
-    lines = _columns(variables, "  ")
-    lines += _columns([_input(item) for item in machine.inputs], "  ")
+    lines = in_columns(variables, "  ")
+    lines += in_columns([_input(item) for item in machine.inputs], "  ")
     rows: tuple[Rule | Gap, ...] = (*machine.rules, *machine.gaps)
     for row in sorted(rows, key=lambda row: row.at):
         lines += ["", *(f"  {line}".rstrip() for line in _rule(row))]
@@ -545,19 +368,19 @@ def _input(item: Input) -> tuple[str, str]:
 def _rule(row: Rule | Gap) -> list[str]:
     word = "rule" if isinstance(row, Rule) else "gap"
     lines = [
-        f"{word} {row.name} {_ids(row.clauses)}".rstrip(),
+        f"{word} {row.name} {ids_text(row.clauses)}".rstrip(),
         f"  from   {', '.join(row.sources)} on {row.input}",
     ]
     if isinstance(row, Rule):
         return lines + _paragraphs(row)
-    return lines + ([] if row.guard is None else _paragraph("when", row.guard))
+    return lines + ([] if row.guard is None else paragraph_of("when", row.guard))
 
 
 def _paragraphs(row: Rule | Replace) -> list[str]:
     """The paragraphs that a rule and its replacement have, in their fixed order."""
     lines: list[str] = []
     if row.guard is not None:
-        lines += _paragraph("when", row.guard)
+        lines += paragraph_of("when", row.guard)
     if row.target is not None:
         lines.append(f"  goto   {row.target}")
     if row.updates:
@@ -584,7 +407,7 @@ def _paragraphs(row: Rule | Replace) -> list[str]:
 def _updates(updates: Iterable[Update]) -> list[str]:
     words = [f"{update.variable} = {pretty_expression(update.value)}" for update in updates]
     line = f"  set    {', '.join(words)}"
-    return [line] if len(line) <= _WIDTH else ["  set    " + ",\n           ".join(words)]
+    return [line] if len(line) <= WIDTH else ["  set    " + ",\n           ".join(words)]
 
 
 def _send(send: Send) -> str:

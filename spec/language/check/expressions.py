@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.spec.language.check.kinds import KindChecker, word_of
 from ecatspec.spec.language.diagnostics import Code, near
+from ecatspec.spec.language.functions import REPLY
 from ecatspec.spec.language.ir import (
     Area,
     Bool,
@@ -26,14 +27,9 @@ from ecatspec.spec.language.ir import (
     Type,
     UInt,
 )
-from ecatspec.spec.language.scope import (
-    REPLY,
-    ChoiceRef,
-    Scope,
-    frame_fields,
-    input_of,
-    names_in,
-)
+from ecatspec.spec.language.nodes import names_in
+from ecatspec.spec.language.references import ChoiceRef
+from ecatspec.spec.language.scope import Scope, frame_fields, input_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, assert_never
 from ecatspec.spec.language.arithmetic import DIVISIONS, constant
 from ecatspec.spec.language.check.findings import Findings
 from ecatspec.spec.language.diagnostics import Code, near
+from ecatspec.spec.language.functions import CYCLIC, EDGES, FUNCTIONS, WITH_BEFORE
 from ecatspec.spec.language.ir import (
     AnyValue,
     Area,
@@ -29,29 +30,19 @@ from ecatspec.spec.language.ir import (
     UInt,
     Unary,
 )
+from ecatspec.spec.language.kinds import bounds_of, expectation, kind_of, kind_of_ref
 from ecatspec.spec.language.logic import COMPARED
 from ecatspec.spec.language.parse import TIME_DIGITS
-from ecatspec.spec.language.scope import (
-    CYCLIC,
-    EDGES,
-    FUNCTIONS,
-    WITH_BEFORE,
+from ecatspec.spec.language.references import (
     ChoiceRef,
     ConstantRef,
     DefinitionRef,
     Kind,
     ParameterOfInput,
-    Scope,
     UnresolvedName,
     VariableRef,
-    bounds_of,
-    expectation,
-    input_of,
-    kind_of,
-    kind_of_ref,
-    known_names,
-    resolve,
 )
+from ecatspec.spec.language.scope import Scope, input_of, known_names, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 from ecatspec.spec.language.check.findings import Findings
 from ecatspec.spec.language.check.texts import LAYOUT_WORDS
 from ecatspec.spec.language.diagnostics import Code
+from ecatspec.spec.language.functions import CYCLIC
 from ecatspec.spec.language.ir import (
     Access,
     Bytes,
@@ -28,13 +29,8 @@ from ecatspec.spec.language.ir import (
     UInt,
     Word,
 )
-from ecatspec.spec.language.scope import (
-    CYCLIC,
-    bounds_of,
-    frame_chain,
-    frame_fields,
-    width_of,
-)
+from ecatspec.spec.language.kinds import bounds_of, width_of
+from ecatspec.spec.language.scope import frame_chain, frame_fields
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

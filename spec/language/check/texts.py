@@ -37,7 +37,7 @@ from ecatspec.spec.language.ir import (
     SetParameter,
     Word,
 )
-from ecatspec.spec.language.scope import names_in, nodes_in
+from ecatspec.spec.language.nodes import names_in, nodes_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

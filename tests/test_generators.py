@@ -35,7 +35,8 @@ from ecatspec.generators.covers.drive_cover import drive_cover
 from ecatspec.generators.covers.process_cover import process_cover
 from ecatspec.generators.covers.transition_cover import transition_cover
 from ecatspec.generators.suite import GENERATORS, all_cases
-from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.esc import subdevice
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.spec.language.ir import Literal, Pin

@@ -13,7 +13,8 @@ from ecatspec.conformance.run.coverage import extent_of
 from ecatspec.conformance.run.dut_knowledge import shape_of
 from ecatspec.conformance.run.runner import run_device
 from ecatspec.model.analysis.unreachable import clauses_beyond, rules_beyond
-from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.state import RuleName
 
 TERMINAL = str(Path(__file__).parent / "devices" / "terminal.ecs")

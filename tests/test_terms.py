@@ -17,7 +17,8 @@ pytest.importorskip("z3")
 from ecatspec.generators.cases.bringup import has_process_data, mailbox_settings, request
 from ecatspec.generators.cases.case import SetUpProcessData, WriteOutputs
 from ecatspec.generators.cases.play import play
-from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.expressions import Environment, before
 from ecatspec.model.core.functions import PLAIN
 from ecatspec.model.core.interpreter import step

@@ -17,7 +17,7 @@ from ecatspec.generators.mutation.mutants import definitions_in
 from ecatspec.model.analysis.fact_diff import Effect
 from ecatspec.model.analysis.facts import Section
 from ecatspec.model.automata.mealy import alike
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.interpreter import rule_clauses
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.values import Pattern, admits, compatible

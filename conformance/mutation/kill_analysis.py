@@ -30,7 +30,8 @@ from ecatspec.generators.mutation.mutants import DEFINE, SHOWN, definitions_in, 
 from ecatspec.generators.suite import all_cases
 from ecatspec.model.analysis.as_built import as_built
 from ecatspec.model.automata.mealy import equivalent
-from ecatspec.model.core.compilation import Model, rows_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.interpreter import step
 from ecatspec.model.core.state import RuleName
 from ecatspec.model.esc.subdevice import VirtualSubDevice

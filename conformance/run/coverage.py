@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.model.analysis.citations import Foundations
 from ecatspec.model.analysis.unreachable import clauses_beyond, rules_beyond
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.spec.language.ir import Level
 
 if TYPE_CHECKING:

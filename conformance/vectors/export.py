@@ -61,7 +61,8 @@ from ecatspec.generators.vectors.schema import (
     Test,
 )
 from ecatspec.model.core.byte_masks import message_forms
-from ecatspec.model.core.compilation import MAILBOX, Model, rows_of
+from ecatspec.model.core.compilation import MAILBOX, Model
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.interpreter import step
 from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS, field_mask
 from ecatspec.model.esc.subdevice import VirtualSubDevice

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 from ecatspec.generators.mutation.mutants import DEFINE, SHOWN, definitions_in
 from ecatspec.model.analysis.entry_facts import with_guesses
-from ecatspec.model.core.compilation import MAILBOX, rows_of
+from ecatspec.model.core.compilation import MAILBOX
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.interpreter import DELIVER
 from ecatspec.model.core.state import RuleName
 from ecatspec.model.symbolic.proofs import Prover
@@ -22,18 +23,7 @@ from ecatspec.model.symbolic.smt_encoding import Meaning
 from ecatspec.model.symbolic.symbolic_execution import Chains
 from ecatspec.model.symbolic.symbolic_state import ANY, Anything, Content, Moment
 from ecatspec.model.symbolic.terms import Answer, all_of, any_of, equal, negated
-from ecatspec.spec.language.ir import (
-    AnyValue,
-    Bool,
-    Call,
-    Conditional,
-    Expression,
-    Gap,
-    Name,
-    OneOf,
-    Range,
-    Rule,
-)
+from ecatspec.spec.language import ir
 from ecatspec.spec.language.nodes import nodes_in
 from ecatspec.spec.language.references import UnresolvedName
 from ecatspec.spec.language.scope import Scope
@@ -46,7 +36,7 @@ if TYPE_CHECKING:
     from ecatspec.model.symbolic.terms import Term
     from ecatspec.spec.language.ir import Machine, Protocol, Update
 
-Row: TypeAlias = "Rule | Gap"
+Row: TypeAlias = ir.Rule | ir.Gap
 Target = tuple[str, str]
 """A machine and an input of it."""
 _INSIDE: Final = frozenset({"own", "local", "event"})
@@ -77,7 +67,7 @@ class Equivalents:
                 rows = tuple(row for row in rows_of(machine) if row.input == source.name)
                 self._rows[machine.name, source.name] = rows
         self._reached = {m.name: {m.initial} for m in built.machines.values()}
-        self._live: dict[tuple[str, str], Rule] = {}
+        self._live: dict[tuple[str, str], ir.Rule] = {}
         self._held = self._held_at_first()
         self._known = self._facts()
         self._explore()
@@ -121,7 +111,7 @@ class Equivalents:
                     continue
                 moment = moments[machine, name]
                 for row in rows:
-                    if isinstance(row, Gap):
+                    if isinstance(row, ir.Gap):
                         continue
                     enabled = self._enabled(row, moment)
                     if (machine, row.name) not in self._live:
@@ -143,10 +133,10 @@ class Equivalents:
             for machine in self._built.machines.values()
             for variable in machine.variables
             if (slot := f"{machine.name}.{variable.name}") not in observed
-            and isinstance(variable.type, Bool)
+            and isinstance(variable.type, ir.Bool)
         }
 
-    def _learned(self, row: Rule, enabled: Term, moment: Moment) -> bool:
+    def _learned(self, row: ir.Rule, enabled: Term, moment: Moment) -> bool:
         """Take in what truths a rule may set; tell whether there is a new one."""
         machine = moment.scope.machine or ""
         grown = False
@@ -156,7 +146,7 @@ class Equivalents:
             for truth in () if held is None else {True, False} - held:
                 meant: Meant = ANY
                 if update not in late:
-                    meant = self._meaning.value(update.value, moment, Bool())
+                    meant = self._meaning.value(update.value, moment, ir.Bool())
                 unknown = isinstance(meant, Content | Anything)
                 if unknown or self._can(enabled, equal(cast("Term", meant), truth)):
                     self._held[slot].add(truth)
@@ -175,7 +165,7 @@ class Equivalents:
                 found |= {s for s in ends if not self._goes_on(machine.name, rule, s)}
         return found
 
-    def _goes_on(self, machine: str, rule: Rule, state: str) -> bool:
+    def _goes_on(self, machine: str, rule: ir.Rule, state: str) -> bool:
         """Tell whether a rule that leads to a state gives an event that is taken there."""
         for event in _given_at_once(rule):
             owner, _, name = event.partition(".")
@@ -196,7 +186,7 @@ class Equivalents:
         if self._asked_for(machine.name):
             return False
         return all(
-            isinstance(row, Rule) and every <= set(row.sources) and row.target is not None
+            isinstance(row, ir.Rule) and every <= set(row.sources) and row.target is not None
             for source in machine.inputs
             if self._comes_at_rest((machine.name, source.name))
             for row in self._rows[machine.name, source.name]
@@ -309,14 +299,14 @@ class Equivalents:
         others = tuple(row for row in rows if row.name != name)
         return self._same(target, rows, (wrong, *others))
 
-    def _unsure(self, row: Rule) -> bool:
+    def _unsure(self, row: ir.Rule) -> bool:
         """Tell whether a guard may be neither true nor false to the device.
 
         Of several such rows it takes the first one, and a wrong rule stands before the others.
         """
         names = definitions_in(self._built, row.guard)
         parts = (row.guard, *(self._built.definitions[name].value for name in names))
-        calls = (node.function for node in nodes_in(parts) if isinstance(node, Call))
+        calls = (node.function for node in nodes_in(parts) if isinstance(node, ir.Call))
         return not _UNSURE.isdisjoint(calls)
 
     def _same_definition(self, mutant: Mutant) -> bool:
@@ -332,7 +322,7 @@ class Equivalents:
             wrong = tuple(self._with(row, name, new) for row in rows)
             moment = self._moment(target)
             for row in rows:
-                if isinstance(row, Gap) or (target[0], row.name) not in self._live:
+                if isinstance(row, ir.Gap) or (target[0], row.name) not in self._live:
                     continue
                 rest = replace(row, guard=None)
                 if name not in definitions_in(self._built, rest):
@@ -349,7 +339,7 @@ class Equivalents:
                 return False
         return True
 
-    def _same_in(self, row: Row, target: Target, old: Expression, new: Expression) -> bool:
+    def _same_in(self, row: Row, target: Target, old: ir.Expression, new: ir.Expression) -> bool:
         """Tell whether two expressions are alike where a row takes its input."""
         return any(
             not any(
@@ -359,11 +349,11 @@ class Equivalents:
             for ways in self._ways(target)
         )
 
-    def _unlike(self, old: Expression, new: Expression, moment: Moment) -> Term:
+    def _unlike(self, old: ir.Expression, new: ir.Expression, moment: Moment) -> Term:
         """Give what holds where two expressions may differ; of the same alternatives in each."""
         if old == new:
             return False
-        if isinstance(old, Conditional) and isinstance(new, Conditional):
+        if isinstance(old, ir.Conditional) and isinstance(new, ir.Conditional):
             one, other = (self._meaning.truth(each.condition, moment) for each in (old, new))
             thens = self._unlike(old.then, new.then, moment)
             elses = self._unlike(old.otherwise, new.otherwise, moment)
@@ -376,7 +366,7 @@ class Equivalents:
             )
         return self._differ(*(self._meaning.value(each, moment, None) for each in (old, new)))
 
-    def _with(self, row: Row, name: str, value: Expression) -> Row:
+    def _with(self, row: Row, name: str, value: ir.Expression) -> Row:
         """Give a row whose guard has another definition; the row itself where it has not."""
         if row.guard is None or name not in definitions_in(self._built, row.guard):
             return row
@@ -411,7 +401,7 @@ class Equivalents:
             for other, there in ways
             if one is not other
             and not (one in wrong and other in rows)
-            and (self._gaps_differ or not isinstance(one, Gap))
+            and (self._gaps_differ or not isinstance(one, ir.Gap))
         )
 
     def _unlike_effects(self, one: Row | None, other: Row | None, moment: Moment) -> Term:
@@ -439,7 +429,9 @@ class Equivalents:
     def _meet_again(self, machine: str, row: Row | None, states: tuple[str, str]) -> bool:
         """Tell whether what a row gives next leads to one state from both, and nobody asks."""
         given = (
-            (*row.gives, *(row.after.gives if row.after else ())) if isinstance(row, Rule) else ()
+            (*row.gives, *(row.after.gives if row.after else ()))
+            if isinstance(row, ir.Rule)
+            else ()
         )
         own = [give.target for give in given if give.target.startswith(f"{machine}.")]
         if not own or self._asked_for(machine):
@@ -447,7 +439,7 @@ class Equivalents:
         rows = self._rows[machine, own[0].partition(".")[2]]
         taking = [row for row in rows if not set(states).isdisjoint(row.sources)]
         if any(
-            isinstance(row, Gap) or row.target is None or not set(states) <= set(row.sources)
+            isinstance(row, ir.Gap) or row.target is None or not set(states) <= set(row.sources)
             for row in taking
         ):
             return False
@@ -466,11 +458,11 @@ class Equivalents:
         rows = (row for each in built.machines.values() for row in rows_of(each))
         shown = (*built.registers.values(), *built.words.values(), *built.frames.values())
         parts = (*built.definitions.values(), *shown, *rows)
-        return frozenset(node.path for node in nodes_in(parts) if isinstance(node, Name))
+        return frozenset(node.path for node in nodes_in(parts) if isinstance(node, ir.Name))
 
     def _effects(self, row: Row | None) -> tuple[object, ...]:
         """Give what a row does beside its target and what it sets; its time limit is none of it."""
-        if not isinstance(row, Rule):
+        if not isinstance(row, ir.Rule):
             return ((), (), (), None, None, ())
         sends = tuple(
             (send.frame, tuple((name, _chosen(value)) for name, value in send.fields))
@@ -483,7 +475,7 @@ class Equivalents:
         """Tell whether all that an event does is to change a state that makes no difference."""
         machine, _, name = event.partition(".")
         return machine in self._forgetful and all(
-            isinstance(row, Rule)
+            isinstance(row, ir.Rule)
             and (row.after, row.take) == (None, None)
             and not (row.updates or row.stores or row.sends or row.gives or row.laters)
             for row in self._rows[machine, name]
@@ -502,7 +494,7 @@ class Equivalents:
             slot = _slot(update, moment.scope.machine or "")
             kind = self._meaning.kinds[slot]
             meant = self._meaning.value(_taken(update.value), moment, kind)
-            open_ = isinstance(update.value, AnyValue)
+            open_ = isinstance(update.value, ir.AnyValue)
             changes[slot] = ANY if open_ and isinstance(meant, Content) else meant
         return changes
 
@@ -526,12 +518,12 @@ def _alike(one: Row | None, other: Row | None, slot: str) -> bool:
 
 
 def _updates(row: Row | None) -> tuple[Update, ...]:
-    return row.updates if isinstance(row, Rule) else ()
+    return row.updates if isinstance(row, ir.Rule) else ()
 
 
-def _taken(value: Expression) -> Expression:
+def _taken(value: ir.Expression) -> ir.Expression:
     """Give what the device takes for a number where the texts leave it open."""
-    return value.preferred if isinstance(value, AnyValue) and value.preferred else value
+    return value.preferred if isinstance(value, ir.AnyValue) and value.preferred else value
 
 
 def _slot(update: Update, machine: str) -> str:
@@ -539,17 +531,17 @@ def _slot(update: Update, machine: str) -> str:
 
 
 def _target(row: Row | None, source: str) -> str:
-    if not isinstance(row, Rule) or row.target is None:
+    if not isinstance(row, ir.Rule) or row.target is None:
         return source
     return row.target
 
 
-def _chosen(value: Expression) -> Expression:
+def _chosen(value: ir.Expression) -> ir.Expression:
     """Give what the device sends for a field: of several values that may be the first."""
     match value:
-        case OneOf(items=(first, *_), excluded=None):
-            return _chosen(first.low if isinstance(first, Range) else first)
-        case Conditional(then=then, otherwise=otherwise):
+        case ir.OneOf(items=(first, *_), excluded=None):
+            return _chosen(first.low if isinstance(first, ir.Range) else first)
+        case ir.Conditional(then=then, otherwise=otherwise):
             one, other = _chosen(then), _chosen(otherwise)
             return one if one == other else replace(value, then=one, otherwise=other)
         case _:
@@ -557,23 +549,25 @@ def _chosen(value: Expression) -> Expression:
 
 
 def _next(row: Row | None) -> set[str]:
-    return _given_at_once(row) if isinstance(row, Rule) else set()
+    return _given_at_once(row) if isinstance(row, ir.Rule) else set()
 
 
-def _given(rule: Rule) -> set[str]:
+def _given(rule: ir.Rule) -> set[str]:
     """Give the events that a rule gives, at once or later."""
     return _given_at_once(rule) | {later.target for later in rule.laters}
 
 
-def _given_at_once(rule: Rule) -> set[str]:
+def _given_at_once(rule: ir.Rule) -> set[str]:
     """Give the events that a rule gives before anything else can come."""
     given = {give.target for give in rule.gives}
     return given if rule.after is None else given | {give.target for give in rule.after.gives}
 
 
-def _inlined(protocol: Protocol, node: Expression, name: str, value: Expression) -> Expression:
+def _inlined(
+    protocol: Protocol, node: ir.Expression, name: str, value: ir.Expression
+) -> ir.Expression:
     """Give an expression with other words in the place of a definition, however deep it is."""
-    if isinstance(node, Name):
+    if isinstance(node, ir.Name):
         if node.path == name:
             return value
         inner = protocol.definitions.get(node.path)
@@ -592,10 +586,10 @@ def _inlined(protocol: Protocol, node: Expression, name: str, value: Expression)
     return replace(cast("Any", node), **changes) if changes else node
 
 
-def _part(protocol: Protocol, part: object, name: str, value: Expression) -> object:
-    if isinstance(part, Range):
+def _part(protocol: Protocol, part: object, name: str, value: ir.Expression) -> object:
+    if isinstance(part, ir.Range):
         low, high = (_inlined(protocol, end, name, value) for end in (part.low, part.high))
         return replace(part, low=low, high=high)
-    if isinstance(part, Expression):
+    if isinstance(part, ir.Expression):
         return _inlined(protocol, part, name, value)
     return part

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.spec.language.ir import Call, Name, Named, OneOf, Remove, ReplaceField, Rule
 from ecatspec.spec.language.nodes import names_in, nodes_in
 

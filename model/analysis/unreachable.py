@@ -11,7 +11,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.analysis.citations import Foundations, citations
-from ecatspec.model.core.compilation import Model, paths_in, rows_of
+from ecatspec.model.core.compilation import Model
+from ecatspec.model.core.compiled import paths_in, rows_of
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.interpreter import DELIVER, RESEND
 from ecatspec.model.core.memo import once
@@ -24,7 +25,7 @@ from ecatspec.spec.language.nodes import names_in
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from ecatspec.model.core.compilation import CompiledRule
+    from ecatspec.model.core.compiled import CompiledRule
     from ecatspec.model.core.expressions import Function
     from ecatspec.model.core.values import Value
     from ecatspec.spec.language.ir import Gap, Input, Machine, Protocol, Rule

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, assert_never
+from typing import TYPE_CHECKING, Any, Final, assert_never
 
 from ecatspec.model.core.cache import Cache
 from ecatspec.model.core.codec import Codec
+from ecatspec.model.core.compiled import CompiledReason, CompiledRule, rows_of
 from ecatspec.model.core.expressions import (
     Environment,
     Getter,
@@ -20,29 +20,19 @@ from ecatspec.model.core.expressions import (
 from ecatspec.model.core.functions import PLAIN
 from ecatspec.model.core.object_dictionary import CROWDED, ObjectDictionary
 from ecatspec.model.core.process_image import ProcessImage
+from ecatspec.model.core.rule_compilation import reply_fields_of, rule_of, views_of
 from ecatspec.model.core.state import Event, RuleName, State
 from ecatspec.model.core.values import UNKNOWN, Octets, Pattern, Value, bits_of
 from ecatspec.spec.language.functions import REPLY
 from ecatspec.spec.language.ir import (
     Access,
-    After,
-    AnyValue,
-    Binary,
     Bool,
-    Call,
-    Conditional,
     Expression,
     Gap,
-    In,
-    Literal,
     Name,
-    OneOf,
-    Range,
-    Rule,
     Type,
-    Unary,
 )
-from ecatspec.spec.language.kinds import expectation
+from ecatspec.spec.language.kinds import name_hints
 from ecatspec.spec.language.nodes import names_in
 from ecatspec.spec.language.references import (
     AlternativeRef,
@@ -50,7 +40,6 @@ from ecatspec.spec.language.references import (
     ConditionRef,
     ConstantRef,
     DefinitionRef,
-    Kind,
     ParameterOfInput,
     ParameterRef,
     Ref,
@@ -60,22 +49,17 @@ from ecatspec.spec.language.references import (
     VariableRef,
     WordFieldRef,
 )
-from ecatspec.spec.language.scope import Scope, frame_fields, resolve
+from ecatspec.spec.language.scope import Scope, resolve
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Mapping
 
     from ecatspec.model.core.codec import Message
     from ecatspec.model.core.expressions import Function
     from ecatspec.model.core.values import ObjectKey
     from ecatspec.spec.language.ir import (
-        Give,
-        Machine,
         Protocol,
-        Register,
         RegisterField,
-        Send,
-        Update,
         Word,
     )
 
@@ -86,80 +70,6 @@ _DECODED: Final = 512
 """Messages that are kept decoded at most."""
 _ANSWERS: Final = 16384
 """Answers of one function that are kept at most."""
-
-
-Holder: TypeAlias = "Callable[[Environment], int | None]"
-
-
-@dataclass(frozen=True, slots=True)
-class CompiledRule:
-    """A rule or a gap, ready to run in the order of its paragraphs."""
-
-    name: RuleName
-    sources: frozenset[int]
-    guard: Getter | None
-    target: int | None
-    updates: tuple[tuple[int, Getter], ...]
-    store: tuple[tuple[Getter, Getter, Getter, bool], ...]
-    sends: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
-    gives: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
-    within: Getter | None
-    gap: bool
-    later: Later | None = None
-    take: Getter | None = None
-    timers: tuple[Timer, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Timer:
-    """An event that comes by itself: machine, input, parameters, not before, at the latest."""
-
-    machine: str
-    input: str
-    arguments: tuple[tuple[str, Getter], ...]
-    after: Getter | None
-    within: Getter
-
-
-@dataclass(frozen=True, slots=True)
-class Later:
-    """What a rule says of its frame once other fields of it are fixed, and what follows then."""
-
-    fields: tuple[tuple[str, Getter], ...]
-    updates: tuple[tuple[int, Getter], ...]
-    gives: tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class CompiledReason:
-    """Why a rule refuses: when it holds, and its words with places for values."""
-
-    wording: str
-    guard: Getter
-    values: tuple[Getter, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """One field of a register or a word as the MainDevice reads it."""
-
-    name: str
-    low: int
-    width: int
-    truth: bool
-    expression: Expression
-    value: Getter
-    condition: Getter | None
-    holder: Holder
-    """What tells the slot whose value the field is."""
-    advised: Getter | None
-    """What the field should be beside what it must."""
-
-    def present(self, environment: Environment) -> Value:
-        """Give what the field reads as, unknown where nothing is said."""
-        if self.condition is not None and self.condition(environment) is not True:
-            return UNKNOWN
-        return self.value(environment)
 
 
 _NO_RULE = Scope()
@@ -247,8 +157,8 @@ class Model:
             (law.name, self.expression(law.value, Scope(), Bool()))
             for law in protocol.properties.values()
         ]
-        self.views = {r.name: self._views(r) for r in protocol.registers.values()}
-        self.views |= {w.name: self._views(w) for w in protocol.words.values()}
+        self.views = {r.name: views_of(self, r) for r in protocol.registers.values()}
+        self.views |= {w.name: views_of(self, w) for w in protocol.words.values()}
         for key, word in self.words.items():
             if self.views[word.name]:
                 self.dictionary.shown[key] = self._reads(word)
@@ -263,7 +173,7 @@ class Model:
                     tuple(self.expression(value, scope, None) for value in reason.values),
                 )
             )
-        self.replies = {name: self._reply_fields(name) for name in protocol.frames}
+        self.replies = {name: reply_fields_of(self, name) for name in protocol.frames}
 
     def _events(self, kind: str) -> tuple[Event, ...]:
         return tuple(
@@ -345,7 +255,7 @@ class Model:
         found = self._rules.get((machine, source))
         if found is None:
             rows = rows_of(self.protocol.machines[machine])
-            found = tuple(self._rule(machine, row) for row in rows if row.input == source)
+            found = tuple(rule_of(self, machine, row) for row in rows if row.input == source)
             self._rules[machine, source] = found
             self._named |= {rule.name: rule for rule in found}
         return found
@@ -528,213 +438,6 @@ class Model:
 
         return reads
 
-    def _rule(self, machine: str, rule: Rule | Gap) -> CompiledRule:
-        scope = Scope(machine, rule.input)
-        values = {name: value for value, name in self.state_names(machine).items()}
-        guard = None if rule.guard is None else self.expression(rule.guard, scope, None)
-        sources = frozenset(values[name] for name in rule.sources)
-        if isinstance(rule, Gap):
-            return CompiledRule(
-                RuleName(machine, rule.name), sources, guard, None, (), (), (), (), None, gap=True
-            )
-        later = scope if not rule.sends else replace(scope, reply=rule.sends[-1].frame)
-        sends, late = [], []
-        for send in rule.sends:
-            bound = self._bindings(send, later)
-            sends.append((send.frame, tuple((n, get) for n, get, is_late in bound if not is_late)))
-            late += [(n, get) for n, get, is_late in bound if is_late]
-        after = None
-        if late or rule.after is not None:
-            given = rule.after or After((), ())
-            after = Later(
-                tuple(late), self._updates(given.updates, later), self._gives(given.gives, later)
-            )
-        return CompiledRule(
-            RuleName(machine, rule.name),
-            sources,
-            guard,
-            None if rule.target is None else values[rule.target],
-            self._updates(rule.updates, scope),
-            tuple(
-                (
-                    self.expression(store.index, scope, None),
-                    self.expression(store.subindex, scope, None),
-                    self.expression(store.value, scope, None),
-                    store.complete,
-                )
-                for store in rule.stores
-            ),
-            tuple(sends),
-            self._gives(rule.gives, scope),
-            None if rule.within is None else self.expression(rule.within, scope, None),
-            gap=False,
-            later=after,
-            take=None if rule.take is None else self.expression(rule.take, scope, None),
-            timers=tuple(
-                Timer(
-                    later.target.partition(".")[0],
-                    later.target.partition(".")[2],
-                    tuple((n, self.expression(e, scope, None)) for n, e in later.arguments),
-                    None if later.after is None else self.expression(later.after, scope, None),
-                    self.expression(later.within, scope, None),
-                )
-                for later in rule.laters
-            ),
-        )
-
-    def _updates(self, updates: tuple[Update, ...], scope: Scope) -> tuple[tuple[int, Getter], ...]:
-        found = []
-        for update in updates:
-            machine, dot, variable = update.variable.rpartition(".")
-            owner = machine if dot else scope.machine or ""
-            variables = self.protocol.machines[owner].variables
-            kind = next(item.type for item in variables if item.name == variable)
-            value = self.expression(update.value, scope, kind)
-            found.append((self.slots[f"{owner}.{variable}"], value))
-        return tuple(found)
-
-    def _gives(
-        self, gives: tuple[Give, ...], scope: Scope
-    ) -> tuple[tuple[str, tuple[tuple[str, Getter], ...]], ...]:
-        return tuple(
-            (give.target, tuple((n, self.expression(e, scope, None)) for n, e in give.arguments))
-            for give in gives
-        )
-
-    def _bindings(self, send: Send, scope: Scope) -> tuple[tuple[str, Getter, bool], ...]:
-        """Give field, value, and whether the value waits for other fields of the frame."""
-        types = frame_fields(self.protocol, send.frame)
-        return tuple(
-            (
-                name,
-                self.expression(value, scope, types[name]),
-                any(path.startswith(f"{REPLY}.") for path in names_in(value)),
-            )
-            for name, value in send.fields
-        )
-
-    def _views(self, register: Register | Word) -> tuple[View, ...]:
-        views = []
-        for field in register.fields:
-            if field.shows is None:
-                continue
-            condition, advised = field.shows.condition, field.shows.advised
-            views.append(
-                View(
-                    field.name,
-                    field.low,
-                    field.high - field.low + 1,
-                    isinstance(field.type, Bool),
-                    field.shows.value,
-                    self.expression(field.shows.value, Scope(), field.type),
-                    None if condition is None else self.expression(condition, Scope(), None),
-                    self._holder(field.shows.value),
-                    None
-                    if advised is None
-                    else self.expression(advised.value, Scope(), field.type),
-                )
-            )
-        return tuple(views)
-
-    def _holder(self, shown: Expression) -> Holder:
-        if isinstance(shown, Conditional):
-            condition = self.expression(shown.condition, Scope(), None)
-            then, otherwise = self._holder(shown.then), self._holder(shown.otherwise)
-
-            def chosen(environment: Environment) -> int | None:
-                holds = condition(environment)
-                if isinstance(holds, Pattern):
-                    return None
-                return then(environment) if holds else otherwise(environment)
-
-            return chosen
-        ref = resolve(self.protocol, shown.path, Scope()) if isinstance(shown, Name) else None
-        slot = self.slot(ref) if isinstance(ref, VariableRef | StateRef) else None
-        return lambda _: slot
-
-    def _reply_fields(self, frame: str) -> dict[str, tuple[Getter, str | None]]:
-        """Give for each field with a `reply` text its value and the slot that keeps it."""
-        found = {}
-        for name in self.codec.trail(frame):
-            for field in self.protocol.frames[name].fields:
-                if field.reply is not None:
-                    getter = self.expression(field.reply, Scope(), field.type)
-                    found[field.name] = (getter, field.into)
-        return found
-
 
 def _present(value: Value | None) -> Value:
     return UNKNOWN if value is None else value
-
-
-def timers_of(protocol: Protocol) -> frozenset[str]:
-    """Give the inputs that come when a time is over, as `machine.input`."""
-    return frozenset(
-        later.target
-        for machine in protocol.machines.values()
-        for rule in machine.rules
-        for later in rule.laters
-    )
-
-
-def rows_of(machine: Machine) -> tuple[Rule | Gap, ...]:
-    """Give the rules and the gaps of a machine."""
-    return (*machine.rules, *machine.gaps)
-
-
-def paths_in(protocol: Protocol, expression: Expression) -> Iterator[str]:
-    """Yield the names of an expression and of the definitions that it uses."""
-    for path in names_in(expression):
-        definition = protocol.definitions.get(path)
-        if definition is None:
-            yield path
-        else:
-            yield from paths_in(protocol, definition.value)
-
-
-def name_hints(protocol: Protocol, expression: Expression, scope: Scope) -> dict[int, Kind]:
-    """Give for names in `expression` the kind that the other side of a comparison has."""
-    hints: dict[int, Kind] = {}
-
-    def walk(part: Expression | Range, kind: Kind | None) -> None:
-        match part:
-            case Name():
-                if kind is not None:
-                    hints[id(part)] = kind
-            case Binary(operator="==" | "!=" | "<" | "<=" | ">" | ">=", left=left, right=right):
-                walk(left, expectation(protocol, right, scope))
-                walk(right, expectation(protocol, left, scope))
-            case Binary(left=left, right=right):
-                walk(left, kind)
-                walk(right, kind)
-            case Unary(operand=operand):
-                walk(operand, kind)
-            case Range(low=low, high=high):
-                walk(low, kind)
-                walk(high, kind)
-            case In(operand=operand, items=items):
-                walk(operand, None)
-                for item in items:
-                    walk(item, expectation(protocol, operand, scope))
-            case OneOf(items=items, excluded=excluded):
-                for item in items:
-                    walk(item, kind)
-                if excluded is not None:
-                    walk(excluded, kind)
-            case Conditional(condition=condition, then=then, otherwise=otherwise):
-                walk(condition, None)
-                walk(then, kind)
-                walk(otherwise, kind)
-            case Call(arguments=arguments):
-                for argument in arguments:
-                    walk(argument, None)
-            case AnyValue(preferred=preferred):
-                if preferred is not None:
-                    walk(preferred, kind)
-            case Literal():
-                pass
-            case _:
-                assert_never(part)
-
-    walk(expression, None)
-    return hints

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.model.core.compilation import paths_in, rows_of
+from ecatspec.model.core.compiled import paths_in, rows_of
 from ecatspec.model.core.expressions import Environment, before
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.process_image import OUTPUTS, taken
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from ecatspec.model.core.codec import Message
-    from ecatspec.model.core.compilation import CompiledRule, Model, Timer
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.compiled import CompiledRule, Timer
     from ecatspec.model.core.expressions import Getter
     from ecatspec.model.core.values import ObjectKey
     from ecatspec.spec.language.ir import Gap, RegisterField, Rule

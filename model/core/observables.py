@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ecatspec.model.core.compilation import paths_in
+from ecatspec.model.core.compiled import paths_in
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.interpreter import fields_with_before
 from ecatspec.model.core.memo import once
@@ -16,7 +16,8 @@ from ecatspec.model.core.wording import register_words
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from ecatspec.model.core.compilation import Model, View
+    from ecatspec.model.core.compilation import Model
+    from ecatspec.model.core.compiled import View
     from ecatspec.model.core.state import State
     from ecatspec.spec.language.ir import Register, Word
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.core.compilation import timers_of
+from ecatspec.model.core.compiled import timers_of
 from ecatspec.model.core.interpreter import differing, expected_fields, row_of
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.object_dictionary import size_varies

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from ecatspec.model.analysis.citations import object_name
-from ecatspec.model.core.compilation import paths_in, rows_of
+from ecatspec.model.core.compiled import paths_in, rows_of
 from ecatspec.model.core.expressions import Environment
 from ecatspec.model.core.interpreter import row_of, rule_clauses
 from ecatspec.model.core.memo import once

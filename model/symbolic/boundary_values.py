@@ -11,7 +11,8 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from ecatspec.model.core.compilation import MAILBOX, rows_of
+from ecatspec.model.core.compilation import MAILBOX
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.object_dictionary import CROWDED
 from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
 from ecatspec.model.core.state import Event, RuleName

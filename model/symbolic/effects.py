@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING
 
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.symbolic.concretisation import Example
 from ecatspec.model.symbolic.obligations import Finding, Obligation, Status
 from ecatspec.model.symbolic.symbolic_state import Anything, Content, Moment

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.core.compilation import name_hints
 from ecatspec.model.symbolic.symbolic_state import Anything, Content
 from ecatspec.model.symbolic.terms import (
     Term,
@@ -18,6 +17,7 @@ from ecatspec.model.symbolic.terms import (
     negated,
 )
 from ecatspec.spec.language.ir import Binary, Conditional, In, Name, Range, Unary
+from ecatspec.spec.language.kinds import name_hints
 from ecatspec.spec.language.pretty_expressions import pretty_expression
 from ecatspec.spec.language.references import DefinitionRef
 from ecatspec.spec.language.scope import Scope, resolve

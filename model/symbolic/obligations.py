@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.spec.language.ir import NOWHERE, STANDARD, Extend, Remove, Replace, Span
 from ecatspec.spec.language.load import load_standard
 

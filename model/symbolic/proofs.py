@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.state import RuleName
 from ecatspec.model.core.wording import typed_words
 from ecatspec.model.symbolic.concretisation import Example

@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.core.compilation import rows_of
+from ecatspec.model.core.compiled import rows_of
 from ecatspec.model.core.interpreter import DELIVER, afterwards, expected_fields, later_fields, step
 from ecatspec.model.core.state import Event, RuleName
 from ecatspec.model.core.values import concrete

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, assert_never
 
-from ecatspec.model.core.compilation import Model, name_hints
+from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.expressions import before
 from ecatspec.model.core.object_dictionary import CROWDED
 from ecatspec.model.symbolic.dictionary_symbols import Answers
@@ -46,7 +46,7 @@ from ecatspec.spec.language.ir import (
     Range,
     Unary,
 )
-from ecatspec.spec.language.kinds import bounds_of, kind_of_ref
+from ecatspec.spec.language.kinds import bounds_of, kind_of_ref, name_hints
 from ecatspec.spec.language.pretty_expressions import pretty_expression
 from ecatspec.spec.language.references import (
     AlternativeRef,

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from ecatspec.model.core.compilation import MAILBOX, rows_of, timers_of
+from ecatspec.model.core.compilation import MAILBOX
+from ecatspec.model.core.compiled import rows_of, timers_of
 from ecatspec.model.core.expressions import before
 from ecatspec.model.core.interpreter import DELIVER, RESEND
 from ecatspec.model.core.state import RuleName

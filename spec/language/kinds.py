@@ -12,6 +12,7 @@ from ecatspec.spec.language.ir import (
     Bytes,
     Call,
     Conditional,
+    Expression,
     In,
     Literal,
     Name,
@@ -25,11 +26,6 @@ from ecatspec.spec.language.ir import (
     Unary,
 )
 from ecatspec.spec.language.logic import COMPARED, LOGIC
-
-if TYPE_CHECKING:
-    from ecatspec.spec.language.ir import Expression, Protocol
-
-from ecatspec.spec.language.functions import AREA_PARTS, FUNCTIONS
 from ecatspec.spec.language.references import (
     AlternativeRef,
     ChoiceRef,
@@ -43,11 +39,19 @@ from ecatspec.spec.language.references import (
     RegisterFieldRef,
     ReplyField,
     StateRef,
-    UnresolvedName,
     VariableRef,
     WordFieldRef,
 )
-from ecatspec.spec.language.scope import Scope, frame_fields, parameters_in, resolve
+from ecatspec.spec.language.scope import Scope, resolve
+
+if TYPE_CHECKING:
+    from ecatspec.spec.language.ir import Expression, Protocol
+
+from ecatspec.spec.language.functions import AREA_PARTS, FUNCTIONS
+from ecatspec.spec.language.references import (
+    UnresolvedName,
+)
+from ecatspec.spec.language.scope import frame_fields, parameters_in
 
 _NUMBER: Final = UInt(64)
 
@@ -180,3 +184,51 @@ def bounds_of(protocol: Protocol, kind: Kind) -> tuple[int, int] | None:
             return None
         case _:
             assert_never(kind)
+
+
+def name_hints(protocol: Protocol, expression: Expression, scope: Scope) -> dict[int, Kind]:
+    """Give for names in `expression` the kind that the other side of a comparison has."""
+    hints: dict[int, Kind] = {}
+
+    def walk(part: Expression | Range, kind: Kind | None) -> None:
+        match part:
+            case Name():
+                if kind is not None:
+                    hints[id(part)] = kind
+            case Binary(operator="==" | "!=" | "<" | "<=" | ">" | ">=", left=left, right=right):
+                walk(left, expectation(protocol, right, scope))
+                walk(right, expectation(protocol, left, scope))
+            case Binary(left=left, right=right):
+                walk(left, kind)
+                walk(right, kind)
+            case Unary(operand=operand):
+                walk(operand, kind)
+            case Range(low=low, high=high):
+                walk(low, kind)
+                walk(high, kind)
+            case In(operand=operand, items=items):
+                walk(operand, None)
+                for item in items:
+                    walk(item, expectation(protocol, operand, scope))
+            case OneOf(items=items, excluded=excluded):
+                for item in items:
+                    walk(item, kind)
+                if excluded is not None:
+                    walk(excluded, kind)
+            case Conditional(condition=condition, then=then, otherwise=otherwise):
+                walk(condition, None)
+                walk(then, kind)
+                walk(otherwise, kind)
+            case Call(arguments=arguments):
+                for argument in arguments:
+                    walk(argument, None)
+            case AnyValue(preferred=preferred):
+                if preferred is not None:
+                    walk(preferred, kind)
+            case Literal():
+                pass
+            case _:
+                assert_never(part)
+
+    walk(expression, None)
+    return hints

@@ -6,11 +6,14 @@ from importlib import resources
 from typing import TYPE_CHECKING
 
 import pytest
+from lark import Lark
 
-from ecatspec.spec.language import load
+from ecatspec.conformance.base.disk_cache import DiskCache, digest_of, folder
+from ecatspec.spec.language import load, store
 from ecatspec.spec.language.diagnostics import SpecError
-from ecatspec.spec.language.kept import digest_of, folder, kept
+from ecatspec.spec.language.grammar import parser
 from ecatspec.spec.language.parse import decode, parse_text
+from ecatspec.spec.language.store import keep_in, kept
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +35,7 @@ objects
 @pytest.fixture(autouse=True)
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    keep_in(DiskCache())
     return tmp_path / "ecatspec"
 
 
@@ -44,6 +48,24 @@ class Maker:
     def __call__(self) -> str:
         self.asked += 1
         return f"made {self.asked}"
+
+
+def test_without_a_store_everything_is_made_anew(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(store, "_used", [store._Nowhere()])  # noqa: SLF001  as the core begins
+    make = Maker()
+    assert [kept("a", b"one", make) for _ in range(2)] == ["made 1", "made 2"]
+    assert not place.exists()
+
+
+def test_the_grammar_is_compiled_once(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    parser.cache_clear()  # another start
+    parse_text(TEXT, "text")
+    assert [file.name for file in place.iterdir()] == ["grammar.pickle"]
+    monkeypatch.setattr(Lark, "save", None)
+    parser.cache_clear()
+    parse_text(TEXT, "text")
 
 
 def test_what_was_made_is_kept(place: Path) -> None:

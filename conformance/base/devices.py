@@ -8,12 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
+from ecatspec.conformance.base.disk_cache import DiskCache
 from ecatspec.model.core.compilation import Model
 from ecatspec.spec.language.ir import (
     Literal,
     Pin,
 )
 from ecatspec.spec.language.load import UnknownDevice, load_device, load_file
+from ecatspec.spec.language.store import keep_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -37,6 +39,9 @@ class UserError(Exception):
 
     def __init__(self, message: str) -> None:
         super().__init__(" ".join(message.split()))
+
+
+keep_in(DiskCache())
 
 
 def load(name_or_path: str, mailbox: str = "") -> Protocol:

@@ -14,8 +14,8 @@ from ecatspec.conformance.diff.behaviour import Sides, product
 from ecatspec.conformance.diff.machines import MACHINES, Explored, ObservedDevice, explored, setups
 from ecatspec.model.analysis.fact_diff import compare_facts
 from ecatspec.model.core.compilation import Model
-from ecatspec.spec.language.kept import kept
 from ecatspec.spec.language.load import load_standard
+from ecatspec.spec.language.store import kept
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

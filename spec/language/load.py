@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from ecatspec.spec.language.diagnostics import SpecError
 from ecatspec.spec.language.ir import STANDARD, Fault
-from ecatspec.spec.language.kept import kept
 from ecatspec.spec.language.merge import merge_device, merge_standard, with_fault
+from ecatspec.spec.language.store import kept
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

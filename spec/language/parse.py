@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from functools import cache
-from importlib import resources
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from lark import Lark, Token, Tree
+from lark import Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedInput, UnexpectedToken
 from lark.lexer import PatternStr
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic, SpecError
+from ecatspec.spec.language.grammar import parser
 from ecatspec.spec.language.ir import (
     Access,
     Advised,
@@ -84,7 +83,6 @@ from ecatspec.spec.language.ir import (
     Variable,
     Word,
 )
-from ecatspec.spec.language.kept import folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -158,7 +156,7 @@ def parse_text(source: str, file: str) -> SourceText:
         _refuse(Code.ECS003, Span(file, line, column), "a NUL byte", "save the file as plain UTF-8")
     source = source.replace("\r\n", "\n")
     try:
-        tree = _parser().parse(source)
+        tree = parser().parse(source)
     except UnexpectedInput as error:
         _refuse_input(error, source, file)
     try:
@@ -182,19 +180,6 @@ def decode(raw: bytes, file: str) -> str:
             f"byte 0x{raw[error.start]:02x} is not UTF-8",
             "save the file as plain UTF-8",
         )
-
-
-@cache
-def _parser() -> Lark:
-    grammar = resources.files(__package__).joinpath("grammar.lark").read_text(encoding="utf-8")
-    place = folder()
-    return Lark(
-        grammar,
-        parser="lalr",
-        propagate_positions=True,
-        maybe_placeholders=True,
-        cache=False if place is None else str(place / "grammar"),
-    )
 
 
 # --- syntax errors -------------------------------------------------------------------------------
@@ -249,7 +234,7 @@ def _in_words(terminals: set[str]) -> str:
 def _in_word(terminal: str) -> str:
     if terminal in _WORDS:
         return _WORDS[terminal]
-    pattern = _parser().get_terminal(terminal).pattern
+    pattern = parser().get_terminal(terminal).pattern
     return f"`{pattern.value}`" if isinstance(pattern, PatternStr) else terminal.lower()
 
 

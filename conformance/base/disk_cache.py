@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import os
 import pickle
-import tempfile
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import resources
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from platformdirs import user_cache_path
+
+from ecatspec.conformance.base.atomic_write import whole
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 _T = TypeVar("_T")
-_LANGUAGE: Final = ("ecatspec.spec.language",)
 
 
 def folder() -> Path | None:
@@ -27,7 +28,7 @@ def folder() -> Path | None:
     They are unpickled, so the folder must be one that nobody else can write to.
     """
     try:
-        place = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ecatspec"
+        place = user_cache_path("ecatspec", appauthor=False)
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = place.stat()
     except (OSError, RuntimeError):
@@ -36,29 +37,28 @@ def folder() -> Path | None:
     return place if own and not status.st_mode & 0o022 else None
 
 
-def kept(
-    name: str, source: bytes, make: Callable[[], _T], program: tuple[str, ...] = _LANGUAGE
-) -> _T:
-    """Give what `make` gives; what it gave at an earlier start for the same `source` and program.
+class DiskCache:
+    """Keeps answers as files in the folder of caches of this user."""
 
-    One answer is kept under each name, which may be that of a file. `program` names the packages
-    that decide what `make` gives.
-    """
-    place = folder()
-    if place is None:
-        return make()
-    file = place / f"{name}.pickle"
-    key = hashlib.sha256(digest_of(program) + source).digest()
-    # a file may have been cut off, or be of another version: whatever goes wrong, it is made anew
-    with suppress(Exception):
-        told, answer = pickle.loads(file.read_bytes())  # noqa: S301  the folder is one's own
-        if told == key:
-            found: _T = answer
-            return found
-    made = make()
-    with suppress(OSError):
-        _write(file, _pickled((key, made)))
-    return made
+    def kept(
+        self, name: str, source: bytes, make: Callable[[], _T], program: tuple[str, ...]
+    ) -> _T:
+        """Give what `make` gives, or gave at an earlier start for the same source and program."""
+        place = folder()
+        if place is None:
+            return make()
+        file = place / f"{name}.pickle"
+        key = hashlib.sha256(digest_of(program) + source).digest()
+        # a file may have been cut off, or be of another version: then the answer is made anew
+        with suppress(Exception):
+            stored, answer = pickle.loads(file.read_bytes())  # noqa: S301  the folder is one's own
+            if stored == key:
+                found: _T = answer
+                return found
+        made = make()
+        with suppress(OSError), whole(file) as written:
+            _Pickler(written, pickle.HIGHEST_PROTOCOL).dump((key, made))
+        return made
 
 
 class _Pickler(pickle.Pickler):
@@ -68,23 +68,6 @@ class _Pickler(pickle.Pickler):
         if is_dataclass(value) and not isinstance(value, type):
             return type(value), tuple(getattr(value, each.name) for each in fields(value))
         return NotImplemented
-
-
-def _pickled(value: object) -> bytes:
-    file = io.BytesIO()
-    _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(value)
-    return file.getvalue()
-
-
-def _write(file: Path, data: bytes) -> None:
-    descriptor, name = tempfile.mkstemp(dir=file.parent, prefix=file.stem)
-    try:
-        with os.fdopen(descriptor, "wb") as whole:
-            whole.write(data)
-        Path(name).replace(file)
-    except OSError:
-        Path(name).unlink(missing_ok=True)
-        raise
 
 
 @cache

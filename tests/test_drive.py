@@ -14,7 +14,7 @@ from ecatspec.conformance.adapters.model import SnapshotAdapter, VirtualAdapter,
 from ecatspec.conformance.base.adapter import AdapterError, Description, raise_local
 from ecatspec.conformance.base.verdict import BLAMING, Outcome
 from ecatspec.conformance.capture.monitor import monitor_file
-from ecatspec.conformance.run import session
+from ecatspec.conformance.run import device_link
 from ecatspec.conformance.run.runner import Runner
 from ecatspec.generators.cases.bringup import request, way_to
 from ecatspec.generators.cases.case import (
@@ -395,7 +395,7 @@ def test_where_time_is_real_exchanges_take_time(monkeypatch: pytest.MonkeyPatch)
             clock[0] += seconds
             super().advance(seconds)
 
-    monkeypatch.setattr(session, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(device_link, "monotonic", lambda: clock[0])
     told = replace(description(REFERENCE), virtual_time=False)
     run = Runner(Model(REFERENCE), Slow(device, told), told)
     uploads = [upload(0x1000, 0)] * 20

@@ -50,6 +50,7 @@ from ecatspec.spec.language.ir import (
     Give,
     In,
     Input,
+    InputKind,
     Later,
     Level,
     Literal,
@@ -420,7 +421,7 @@ def test_shipped_text_prints_and_parses_to_the_same(path: Path) -> None:
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
 def test_shipped_text_leaves_no_part_of_the_parser_behind(path: Path) -> None:
     kinds = {type(leaf) for leaf in leaves(parsed(path))}
-    assert kinds <= {str, int, bool, bytes, type(None), Level, Access}
+    assert kinds <= {str, int, bool, bytes, type(None), Level, Access, InputKind}
 
 
 def leaves(node: object) -> Iterator[object]:
@@ -745,7 +746,7 @@ def test_a_device_text_extends_a_machine_and_replaces_a_field() -> None:
     protocol = compile_texts([BASE, text])
     machine = protocol.machines["al"]
     assert [variable.name for variable in machine.variables] == ["error", "code", "more"]
-    assert machine.inputs[-1] == Input("happens", "local", (), (("number", UInt(8)),))
+    assert machine.inputs[-1] == Input("happens", InputKind.LOCAL, (), (("number", UInt(8)),))
     assert machine.rules[-1].name == "counted"
     assert [gap.name for gap in machine.gaps] == ["silence"]
     field = protocol.frames["mailbox"].fields[0]

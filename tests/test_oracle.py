@@ -43,7 +43,7 @@ from ecatspec.model.esc import subdevice
 from ecatspec.model.esc.subdevice import VirtualSubDevice
 from ecatspec.model.oracle.explanations import Exchange
 from ecatspec.model.oracle.oracle import Oracle
-from ecatspec.spec.language.ir import Bytes, Pin
+from ecatspec.spec.language.ir import Bytes, InputKind, Pin
 from ecatspec.spec.language.load import load_device
 from ecatspec.spec.language.references import ConditionRef
 from ecatspec.spec.language.scope import frame_fields
@@ -1028,7 +1028,7 @@ class Sparing(VirtualSubDevice):
     def react(self, event: Event) -> Step:
         inputs = self.model.protocol.machines[event.machine].inputs
         source = next(i for i in inputs if i.name == event.input)
-        if source.kind != "write" or event.input == "request" or self._seen is None:
+        if source.kind != InputKind.WRITE or event.input == "request" or self._seen is None:
             return super().react(event)
         slots = [self.model.slots[f"register {name}"] for name in source.origin]
         if all(self._seen.slots[slot] == self.state.slots[slot] for slot in slots):

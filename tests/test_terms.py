@@ -50,6 +50,7 @@ from ecatspec.spec.language.ir import (
     Bytes,
     Conditional,
     In,
+    InputKind,
     Literal,
     Name,
     Range,
@@ -195,14 +196,16 @@ def event_of(random: Random, model: Model, machine: str, name: str, state: State
     parameters: dict[str, Value] = {}
     scope = Scope(machine, name)
     names = [p for p, _ in source.parameters]
-    if source.kind == "frame":
+    if source.kind == InputKind.FRAME:
         names = list(model.codec.field_names(source.origin[0]))
-    if source.kind == "outputs":
+    if source.kind == InputKind.OUTPUTS:
         names = ["image"]
-    if source.kind in {"write", "word"} and len(source.origin) == 1:
-        holder = (protocol.words if source.kind == "word" else protocol.registers)[source.origin[0]]
+    if source.kind in {InputKind.WRITE, InputKind.WORD} and len(source.origin) == 1:
+        holder = (protocol.words if source.kind == InputKind.WORD else protocol.registers)[
+            source.origin[0]
+        ]
         raw = state.slots[
-            model.slots[f"{'word' if source.kind == 'word' else 'register'} {holder.name}"]
+            model.slots[f"{'word' if source.kind == InputKind.WORD else 'register'} {holder.name}"]
         ]
         assert isinstance(raw, int)
         for bits in holder.fields:
@@ -210,7 +213,7 @@ def event_of(random: Random, model: Model, machine: str, name: str, state: State
             truth = isinstance(bits.type, Bool)
             parameters[bits.name] = bool(value) if truth else value
             parameters[before(bits.name)] = of_type(random, model, bits.type)
-        names = ["cyclic"] if source.kind == "word" else []
+        names = ["cyclic"] if source.kind == InputKind.WORD else []
     entries = list(model.dictionary.entries) or [(0, 0)]
     index, subindex = random.choice(entries)
     for parameter in names:

@@ -13,6 +13,7 @@ from ecatspec.conformance.base.adapter import (
 )
 from ecatspec.conformance.base.devices import load, nearest
 from ecatspec.model.esc.subdevice import Quirk, Snapshot, VirtualSubDevice
+from ecatspec.spec.language.ir import InputKind
 from ecatspec.spec.language.load import load_faults, plant
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def described(protocol: Protocol) -> Description:
             f"{machine.name}.{source.name}"
             for machine in protocol.machines.values()
             for source in machine.inputs
-            if source.kind == "local"
+            if source.kind == InputKind.LOCAL
         ),
     )
 

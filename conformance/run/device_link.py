@@ -278,6 +278,9 @@ class DeviceLink:
         if self.oracle.lost:
             raise InconclusiveError(TOO_MUCH)
 
+    def _start_clock(self, *, real: bool) -> None:
+        self._began = monotonic() if real else None
+
     def _tick(self) -> None:
         """Look at the clock: exchanges take time too, where it is real."""
         if self._began is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from time import monotonic
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.conformance.base.adapter import (
@@ -102,7 +101,7 @@ class Session(Watch):
         self._ahead = {}
         self._seen = {}
         self._passed.clear()
-        self._began = None if description.virtual_time else monotonic()
+        self._start_clock(real=not description.virtual_time)
         self.forget_trace()
         self.attempt = None
         self._counter = 0

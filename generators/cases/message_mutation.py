@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from ecatspec.generators.cases.case import SendFrame
 from ecatspec.model.core.register_map import AREAS, SYNC_MANAGERS
-from ecatspec.spec.language.ir import Bool, Bytes, Named
+from ecatspec.spec.language.ir import Bool, Bytes, InputKind, Named
 from ecatspec.spec.language.kinds import width_of
 from ecatspec.spec.language.nodes import names_in
 
@@ -165,7 +165,7 @@ def request_frames(model: Model) -> tuple[str, ...]:
         frame
         for machine in model.protocol.machines.values()
         for item in machine.inputs
-        if item.kind == "frame"
+        if item.kind == InputKind.FRAME
         for frame in item.origin
     ]
     proper = _proper_frames(model)

@@ -24,6 +24,7 @@ from ecatspec.model.symbolic.symbolic_execution import Chains
 from ecatspec.model.symbolic.symbolic_state import ANY, Anything, Content, Moment
 from ecatspec.model.symbolic.terms import Answer, all_of, any_of, equal, negated
 from ecatspec.spec.language import ir
+from ecatspec.spec.language.ir import InputKind
 from ecatspec.spec.language.nodes import nodes_in
 from ecatspec.spec.language.references import UnresolvedName
 from ecatspec.spec.language.scope import Scope
@@ -39,12 +40,12 @@ if TYPE_CHECKING:
 Row: TypeAlias = ir.Rule | ir.Gap
 Target = tuple[str, str]
 """A machine and an input of it."""
-_INSIDE: Final = frozenset({"own", "local", "event"})
+_INSIDE: Final = frozenset({ir.InputKind.OWN, ir.InputKind.LOCAL, ir.InputKind.EVENT})
 """Inputs that come from within the device only, from rules or by themselves."""
 _UNSURE: Final = frozenset({"can_hold", "holds", "pdo_bits"})
 """Functions to which even a device has no answer of its own, for a place in a mapping that is
 empty or not there."""
-_OUTSIDE: Final = frozenset({"frame", "local", "write"})
+_OUTSIDE: Final = frozenset({ir.InputKind.FRAME, ir.InputKind.LOCAL, ir.InputKind.WRITE})
 """Inputs that come when all that was given before is done."""
 
 
@@ -485,7 +486,7 @@ class Equivalents:
         """Tell whether an input is a message that the mailbox hands on, which has to be taken."""
         machine = self._machine(moment)
         source = next(i for i in machine.inputs if i.name == moment.scope.input)
-        return source.kind == "frame" and machine.name != MAILBOX
+        return source.kind == InputKind.FRAME and machine.name != MAILBOX
 
     def _changed(self, row: Row | None, moment: Moment) -> dict[str, Meant]:
         """Give what a row sets, by slot."""

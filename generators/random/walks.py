@@ -247,7 +247,7 @@ class _Walker:
 
     # --- process data, time, local events ---------------------------------------------------------
 
-    def _command(self) -> _Stimuli:
+    def _move_command(self) -> _Stimuli:
         """Command the drive further up, mostly."""
         if not self._ground.controls:
             return ()
@@ -259,7 +259,7 @@ class _Walker:
         self._rung += 1
         return (WriteOutputs({CONTROL: word}),)
 
-    def _outputs(self) -> _Stimuli:
+    def _move_outputs(self) -> _Stimuli:
         """Write process data, with any value in one of their words."""
         if not self._ground.words or self._dice.one_in(2):
             return (WriteOutputs(),)
@@ -268,15 +268,15 @@ class _Walker:
 
     def _move_hurry(self) -> _Stimuli:
         """Do not wait for what outputs lead to before something else comes."""
-        return (Hurry(), *(self._command() or self._outputs()))
+        return (Hurry(), *(self._move_command() or self._move_outputs()))
 
     def _move_stop_outputs(self) -> _Stimuli:
         return (StopOutputs(),)
 
-    def _wait(self) -> _Stimuli:
+    def _move_wait(self) -> _Stimuli:
         return (Wait(self._dice.pick(_WAITS)),)
 
-    def _raise_local(self) -> _Stimuli:
+    def _move_raise_local(self) -> _Stimuli:
         return (Happen(self._dice.pick(self._events)),) if self._events else ()
 
     def _move_read_register(self) -> _Stimuli:
@@ -308,7 +308,7 @@ class _Walker:
             return (unsized(self._model, *key, value),)
         return (download(*key, value),)
 
-    def _begin(self) -> _Stimuli:
+    def _move_begin(self) -> _Stimuli:
         """Begin a download of which more is to come."""
         key = self._key(written=True)
         value = self._bytes(key)
@@ -329,7 +329,7 @@ class _Walker:
         codes = self._model.protocol.tables["sdo_abort_code"].rows
         return (abort(*key, self._dice.pick(codes).value),)
 
-    def _complete(self) -> _Stimuli:
+    def _move_complete(self) -> _Stimuli:
         """Read or write a whole object."""
         if "complete_access" in self._limits.without or not self._beloved:
             return ()
@@ -371,7 +371,7 @@ class _Walker:
             return stimuli[self._dice.below(len(stimuli)) :]
         return stimuli
 
-    def _read_configuration(self) -> _Stimuli:
+    def _move_read_configuration(self) -> _Stimuli:
         return (ReadConfiguration(),)
 
     # --- the mailbox ------------------------------------------------------------------------------
@@ -380,10 +380,10 @@ class _Walker:
         """Send a request at its edge, or with one fault."""
         return self._dice.pick(self._ground.families) if self._ground.families else ()
 
-    def _repeat(self) -> _Stimuli:
+    def _move_repeat(self) -> _Stimuli:
         return () if "repeat" in self._limits.without else (Repeat(),)
 
-    def _again(self) -> _Stimuli:
+    def _move_again(self) -> _Stimuli:
         """Send the last message once more: with its counter, or with the next."""
         if self._last is None:
             return ()

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ecatspec.model.core.compiled import rows_of
-from ecatspec.spec.language.ir import Call, Name, Named, OneOf, Remove, ReplaceField, Rule
+from ecatspec.spec.language.ir import (
+    Call,
+    InputKind,
+    Name,
+    Named,
+    OneOf,
+    Remove,
+    ReplaceField,
+    Rule,
+)
 from ecatspec.spec.language.nodes import names_in, nodes_in
 
 if TYPE_CHECKING:
@@ -181,7 +190,7 @@ class Foundations:
 
     def _of_input(self, source: Input) -> Iterator[str]:
         for name in source.origin:
-            if source.kind == "frame":
+            if source.kind == InputKind.FRAME:
                 yield from self._of_frame(name)
             for layout in _layouts(self._protocol):
                 if layout.name == name:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from ecatspec.model.analysis.citations import object_name
 from ecatspec.model.core.observables import machines_of
 from ecatspec.model.core.process_image import OUTPUTS
-from ecatspec.spec.language.ir import Access, Area, Level, Literal, Register, Time, Word
+from ecatspec.spec.language.ir import Access, Area, InputKind, Level, Literal, Register, Time, Word
 from ecatspec.spec.language.pretty_expressions import pretty_expression, pretty_type
 
 if TYPE_CHECKING:
@@ -263,10 +263,14 @@ def _inputs(protocol: Protocol) -> Iterator[Fact]:
         within = f"machine {machine.name}"
         yield Fact(section, within, machine.wording, (), machine.name, Kind.NOTE, whole=True)
         for source in machine.inputs:
-            if source.kind in {"local", "own"}:
+            if source.kind in {InputKind.LOCAL, InputKind.OWN}:
                 rules = [r for r in machine.rules if r.input == source.name]
                 clauses = _joined(*(rule.clauses for rule in rules))
-                word = "happens to the device" if source.kind == "local" else "the device does it"
+                word = (
+                    "happens to the device"
+                    if source.kind == InputKind.LOCAL
+                    else "the device does it"
+                )
                 subject = f"{machine.name}.{source.name}"
                 yield Fact(section, subject, word, clauses, machine.name, Kind.ANSWER, within)
 

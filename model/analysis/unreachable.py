@@ -20,6 +20,7 @@ from ecatspec.model.core.object_dictionary import CROWDED
 from ecatspec.model.core.process_image import OUTPUTS
 from ecatspec.model.core.state import RuleName
 from ecatspec.model.core.values import UNKNOWN, Numbers, Pattern, Unknown
+from ecatspec.spec.language.ir import InputKind
 from ecatspec.spec.language.nodes import names_in
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ class _Reach:
     def _is_there(self, machine: Machine) -> bool:
         """Tell whether the device has one of the words that move a machine or show it, if any."""
         model = self._model
-        its = {name for i in machine.inputs if i.kind == "word" for name in i.origin}
+        its = {name for i in machine.inputs if i.kind == InputKind.WORD for name in i.origin}
         for word in model.protocol.words.values():
             shows = (field.shows.value for field in word.fields if field.shows is not None)
             if any(

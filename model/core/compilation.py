@@ -29,6 +29,7 @@ from ecatspec.spec.language.ir import (
     Bool,
     Expression,
     Gap,
+    InputKind,
     Name,
     Type,
 )
@@ -105,19 +106,19 @@ class Model:
         rows = [(m.name, row) for m in protocol.machines.values() for row in rows_of(m)]
         self._input_of = {RuleName(machine, row.name): row.input for machine, row in rows}
         mailbox = protocol.machines[MAILBOX]
-        self._roots = [o for i in mailbox.inputs if i.kind == "frame" for o in i.origin]
-        self.own = self._events("own")
+        self._roots = [o for i in mailbox.inputs if i.kind == InputKind.FRAME for o in i.origin]
+        self.own = self._events(InputKind.OWN)
         """What the device may do at any time."""
-        self.locals = self._events("local")
+        self.locals = self._events(InputKind.LOCAL)
         """The local events that may happen in the device."""
-        self.outputs = self._events("outputs")
+        self.outputs = self._events(InputKind.OUTPUTS)
         """The inputs that take process data."""
         self.word_inputs = {
             word: tuple(
                 (machine.name, i.name)
                 for machine in protocol.machines.values()
                 for i in machine.inputs
-                if i.kind == "word" and word in i.origin
+                if i.kind == InputKind.WORD and word in i.origin
             )
             for word in protocol.words
         }
@@ -175,7 +176,7 @@ class Model:
             )
         self.replies = {name: reply_fields_of(self, name) for name in protocol.frames}
 
-    def _events(self, kind: str) -> tuple[Event, ...]:
+    def _events(self, kind: InputKind) -> tuple[Event, ...]:
         return tuple(
             Event(machine.name, i.name, {})
             for machine in self.protocol.machines.values()
@@ -281,7 +282,9 @@ class Model:
                 (machine.name, source.name)
                 for machine in self.protocol.machines.values()
                 for source in machine.inputs
-                if machine.name != sender and source.kind == "frame" and layout in source.origin
+                if machine.name != sender
+                and source.kind == InputKind.FRAME
+                and layout in source.origin
             ]
             if found:
                 return found

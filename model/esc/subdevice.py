@@ -29,7 +29,7 @@ from ecatspec.model.core.state import Event, Output, State, Step
 from ecatspec.model.core.values import Pattern, Value, any_open, concrete
 from ecatspec.model.esc.esc import Esc
 from ecatspec.spec.language.functions import IMAGE
-from ecatspec.spec.language.ir import Access
+from ecatspec.spec.language.ir import Access, InputKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -232,7 +232,9 @@ class VirtualSubDevice:
         self._registers()
         for machine in self.model.protocol.machines.values():
             for source in machine.inputs:
-                if source.kind == "write" and any(o.startswith(managers) for o in source.origin):
+                if source.kind == InputKind.WRITE and any(
+                    o.startswith(managers) for o in source.origin
+                ):
                     self._run(Event(machine.name, source.name, {}))
 
     def _take_request(self) -> None:

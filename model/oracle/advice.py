@@ -13,6 +13,7 @@ from ecatspec.model.core.wording import bytes_words, register_words
 from ecatspec.model.oracle.alternatives import last_rules
 from ecatspec.model.oracle.diagnosis import mismatch
 from ecatspec.model.oracle.knowledge import demanded
+from ecatspec.spec.language.ir import InputKind
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -99,7 +100,7 @@ def unreadable(model: Model, name: str, exchange: Exchange) -> Mismatch | None:
         source.origin
         for machine in model.protocol.machines.values()
         for source in machine.inputs
-        if source.kind == "write"
+        if source.kind == InputKind.WRITE
     )
     if not model.views[name] and not any(name in origin for origin in written):
         return None  # what is there beside these depends on the controller

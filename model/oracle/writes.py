@@ -19,7 +19,7 @@ from ecatspec.model.oracle.explanations import Loose, Pending
 from ecatspec.model.oracle.havoc import is_open
 from ecatspec.model.oracle.judged import Judged
 from ecatspec.model.oracle.knowledge import demanded
-from ecatspec.spec.language.ir import Access
+from ecatspec.spec.language.ir import Access, InputKind
 
 if TYPE_CHECKING:
     from ecatspec.model.core.compilation import Model
@@ -45,7 +45,7 @@ def write_registers(
         (machine.name, source)
         for machine in model.protocol.machines.values()
         for source in machine.inputs
-        if source.kind == "write" and any(r.name in source.origin for r in touched)
+        if source.kind == InputKind.WRITE and any(r.name in source.origin for r in touched)
     ]
     glances = _glances(model, *exchange.span())
     after: Explanations = {}
@@ -151,7 +151,7 @@ def _glances(model: Model, address: int, length: int) -> tuple[Event, ...]:
         Event(machine.name, source.name, {})
         for machine in model.protocol.machines.values()
         for source in machine.inputs
-        if source.kind == "write"
+        if source.kind == InputKind.WRITE
         and any(name.startswith(_MANAGERS) for name in source.origin)
         and touched.isdisjoint(source.origin)
     )

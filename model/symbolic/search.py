@@ -22,7 +22,7 @@ from ecatspec.model.symbolic.symbolic_execution import Chains
 from ecatspec.model.symbolic.symbolic_state import Chain, Content, Fired
 from ecatspec.model.symbolic.terms import Answer, key_of
 from ecatspec.spec.language.functions import REPLY
-from ecatspec.spec.language.ir import Bool, Literal, Rule
+from ecatspec.spec.language.ir import Bool, InputKind, Literal, Rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -99,7 +99,7 @@ class Search:
             self._words = {
                 (machine, source.name): tuple(self._written_fields(source.origin))
                 for source in self.meaning.protocol.machines[machine].inputs
-                if source.kind == "word"
+                if source.kind == InputKind.WORD
             }
             self._seen.clear()
             self._tried.clear()

@@ -26,7 +26,7 @@ from ecatspec.model.symbolic.symbolic_state import (
 )
 from ecatspec.model.symbolic.terms import Term, all_of, any_of, counted, equal
 from ecatspec.spec.language.functions import REPLY
-from ecatspec.spec.language.ir import Bool, Bytes, Gap, Rule
+from ecatspec.spec.language.ir import Bool, Bytes, Gap, InputKind, Rule
 from ecatspec.spec.language.kinds import width_of
 from ecatspec.spec.language.nodes import names_in
 from ecatspec.spec.language.scope import Scope, frame_fields
@@ -85,7 +85,7 @@ class Chains:
         self.moved_by_words = frozenset(
             slot
             for target in self._inputs
-            if self._inputs[target].kind == "word"
+            if self._inputs[target].kind == InputKind.WORD
             for slot in self.touched(*target)
         )
         """The slots that words may change."""
@@ -104,8 +104,8 @@ class Chains:
         found = []
         for (machine, name), source in self._inputs.items():
             target = f"{machine}.{name}"
-            inner = source.kind == "frame" and machine != MAILBOX
-            event = source.kind == "event" and target in given and target not in timers
+            inner = source.kind == InputKind.FRAME and machine != MAILBOX
+            event = source.kind == InputKind.EVENT and target in given and target not in timers
             if not inner and not event:
                 found.append((machine, name))
         return tuple(found)
@@ -113,7 +113,7 @@ class Chains:
     def frame(self, machine: str, name: str) -> str | None:
         """Give the frame that an input is, None for another kind of input."""
         source = self._inputs[machine, name]
-        return source.origin[0] if source.kind == "frame" else None
+        return source.origin[0] if source.kind == InputKind.FRAME else None
 
     def beneath(self, machine: str, name: str) -> frozenset[RuleName]:
         """Give the rules that an input may lead to, by what they give as well."""
@@ -160,8 +160,8 @@ class Chains:
         """
         source = self._inputs[machine, name]
         parameters: dict[str, Meant] = {}
-        if source.kind in {"write", "word"}:
-            word = source.kind == "word"
+        if source.kind in {InputKind.WRITE, InputKind.WORD}:
+            word = source.kind == InputKind.WORD
             changes: dict[str, Meant] = {}
             single = len(source.origin) == 1
             for origin in source.origin:
@@ -180,7 +180,7 @@ class Chains:
                             parameters[before(bits.name)] = world.get(slot)
             world = world.having(changes)
             return world, Arrival(machine, name, parameters, key=key)
-        if source.kind == "frame" and len(source.origin) == 1:
+        if source.kind == InputKind.FRAME and len(source.origin) == 1:
             fields, holds = self._frame(world, source.origin[0], {}, key)
             return world, Arrival(machine, name, fields, holds, key)
         return world, Arrival(machine, name, parameters, key=key)
@@ -433,7 +433,7 @@ class Chains:
 
     def _taken(self, machine: Machine, moment: Moment, key: str) -> Iterator[Arrival]:
         for (owner, name), source in self._inputs.items():
-            if owner == machine.name or source.kind != "frame":
+            if owner == machine.name or source.kind != InputKind.FRAME:
                 continue
             for origin in source.origin:
                 fields, holds = self._frame(moment.world, origin, moment.parameters, moment.key)
@@ -471,7 +471,7 @@ class Chains:
                     yield from self.touched(*target)
             if row.stores or row.take:
                 for target, source in self._inputs.items():
-                    if source.kind == "word":
+                    if source.kind == InputKind.WORD:
                         yield from self.touched(*target)
 
     def _targets(self, machine: str, give: Give) -> list[tuple[str, str]]:
@@ -481,7 +481,7 @@ class Chains:
             return [
                 target
                 for target, source in self._inputs.items()
-                if source.kind == "frame" and target[0] != machine
+                if source.kind == InputKind.FRAME and target[0] != machine
             ]
         owner, _, name = give.target.partition(".")
         return [(owner, name)]

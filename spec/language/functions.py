@@ -8,6 +8,7 @@ from typing import Final
 from ecatspec.spec.language.ir import (
     Bool,
     Bytes,
+    InputKind,
     SInt,
     Time,
     Type,
@@ -116,7 +117,7 @@ FUNCTIONS: Final[dict[str, FunctionSignature]] = {
 }
 EDGES: Final = {"rises": True, "falls": False}
 """What a parameter of the input is after the edge; its argument is such a parameter, by name."""
-WITH_BEFORE: Final = frozenset({"write", "word"})
+WITH_BEFORE: Final = frozenset({InputKind.WRITE, InputKind.WORD})
 """The kinds of inputs whose parameters had a value before."""
 IMPLIES: Final = (
     ("readable_now", "readable"),

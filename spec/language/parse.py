@@ -45,6 +45,7 @@ from ecatspec.spec.language.ir import (
     Give,
     In,
     Input,
+    InputKind,
     Later,
     Level,
     Literal,
@@ -240,13 +241,12 @@ def _in_word(terminal: str) -> str:
 
 # --- from tree to IR -----------------------------------------------------------------------------
 
-_INPUTS: Final = {
-    "origin_input": "",
-    "word_input": "word",
-    "outputs_input": "outputs",
-    "event_input": "event",
-    "local_input": "local",
-    "own_input": "own",
+_INPUTS: Final[dict[str, InputKind]] = {
+    "word_input": InputKind.WORD,
+    "outputs_input": InputKind.OUTPUTS,
+    "event_input": InputKind.EVENT,
+    "local_input": InputKind.LOCAL,
+    "own_input": InputKind.OWN,
 }
 _BINARY: Final = {"or_": "or", "and_": "and"}
 _TOKENS: Final = frozenset({"compare", "add", "subtract", "multiply"})
@@ -660,7 +660,7 @@ class _Builder:
         self, children: _Children
     ) -> tuple[tuple[Variable, ...], tuple[Input, ...], tuple[Rule, ...], tuple[Gap, ...]]:
         variables = tuple(self._variable(item) for item in children.all("variable"))
-        inputs = tuple(self._input(item) for item in children.all(*_INPUTS))
+        inputs = tuple(self._input(item) for item in children.all("origin_input", *_INPUTS))
         rows = children.trees()
         rules = tuple(self._rule(row) for row in rows if row.data == "rule")
         gaps = tuple(self._gap(row) for row in rows if row.data == "gap")
@@ -679,7 +679,7 @@ class _Builder:
         children, at = self._open(tree)
         name = children.word()
         if tree.data == "origin_input":
-            return Input(name, children.word(), tuple(children.words("NAME")), (), at)
+            return Input(name, InputKind(children.word()), tuple(children.words("NAME")), (), at)
         kind = _INPUTS[str(tree.data)]
         if tree.data in {"word_input", "outputs_input"}:
             return Input(name, kind, tuple(children.words("NAME")), (), at)

@@ -27,6 +27,7 @@ from ecatspec.spec.language.ir import (
     Gap,
     Give,
     Input,
+    InputKind,
     Later,
     Machine,
     Manual,
@@ -358,8 +359,8 @@ def _machine_parts(machine: Machine | Extend) -> list[str]:
 
 
 def _input(item: Input) -> tuple[str, str]:
-    if item.kind in {"event", "local", "own"}:
-        word = "" if item.kind == "event" else f"{item.kind} "
+    if item.kind in {InputKind.EVENT, InputKind.LOCAL, InputKind.OWN}:
+        word = "" if item.kind == InputKind.EVENT else f"{item.kind} "
         parameters = ", ".join(f"{name}: {pretty_type(kind)}" for name, kind in item.parameters)
         return f"input    {item.name}", f"{word}({parameters})"
     return f"input    {item.name}", f"from {item.kind} {', '.join(item.origin)}".rstrip()

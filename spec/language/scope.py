@@ -20,12 +20,13 @@ input, `machine.variable`, `machine.state`, `register.field`, `word.field`, `par
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from ecatspec.spec.language.ir import (
     Area,
     Bool,
     Bytes,
+    InputKind,
     Named,
     Type,
 )
@@ -66,6 +67,11 @@ class Scope:
     input: str | None = None
     frame: str | None = None
     reply: str | None = None
+
+
+_WITHOUT_ORIGIN: Final = frozenset(
+    {InputKind.EVENT, InputKind.LOCAL, InputKind.OWN, InputKind.OUTPUTS}
+)
 
 
 def resolve(protocol: Protocol, path: str, scope: Scope, expected: Kind | None = None) -> Ref:
@@ -207,9 +213,9 @@ def parameters_in(protocol: Protocol, scope: Scope) -> dict[str, Type]:
     found = input_of(protocol, scope)
     if found is None:
         return {}
-    if found.kind in {"event", "local", "own"}:
+    if found.kind in {InputKind.EVENT, InputKind.LOCAL, InputKind.OWN}:
         return dict(found.parameters)
-    if found.kind == "outputs":
+    if found.kind == InputKind.OUTPUTS:
         return {IMAGE: Bytes(None)}
     origins = [_origin(protocol, found.kind, origin) for origin in found.origin]
     common = origins[0] if origins else {}
@@ -221,7 +227,7 @@ def parameters_in(protocol: Protocol, scope: Scope) -> dict[str, Type]:
 def _is_parameter(protocol: Protocol, scope: Scope, name: str) -> bool:
     """Whether `parameters_in` has a name; most names are in no origin, so the first tells it."""
     found = None if scope.frame is not None else input_of(protocol, scope)
-    if found is None or found.kind in {"event", "local", "own", "outputs"} or not found.origin:
+    if found is None or found.kind in _WITHOUT_ORIGIN or not found.origin:
         return name in parameters_in(protocol, scope)
     return all(name in _origin(protocol, found.kind, origin) for origin in found.origin)
 

@@ -16,6 +16,7 @@ from ecatspec.spec.language.ir import (
     Bytes,
     Frame,
     Gap,
+    InputKind,
     Machine,
     Named,
     Reason,
@@ -179,7 +180,7 @@ class ExpressionChecker(KindChecker):
                 continue
             if give.target == "deliver":
                 found = input_of(self._protocol, scope)
-                if found is None or found.kind not in {"write", "frame"}:
+                if found is None or found.kind not in {InputKind.WRITE, InputKind.FRAME}:
                     self._note(
                         Code.ECS202,
                         give.at,

@@ -14,6 +14,7 @@ from ecatspec.spec.language.ir import (
     CodeTable,
     Frame,
     Gap,
+    InputKind,
     Literal,
     Machine,
     Named,
@@ -240,14 +241,14 @@ class StructureChecker(Findings):
 
     def _input(self, item: Input) -> None:
         what, known = "register", list(self._protocol.registers)
-        if item.kind == "frame":
+        if item.kind == InputKind.FRAME:
             what, known = "frame", list(self._protocol.frames)
-        elif item.kind == "word":
+        elif item.kind == InputKind.WORD:
             what, known = "word", list(self._protocol.words)
         for origin in item.origin:
             if origin not in known:
                 self._missing(what, origin, known, item.at)
-            elif item.kind == "word" and self._protocol.words[origin].key is None:
+            elif item.kind == InputKind.WORD and self._protocol.words[origin].key is None:
                 what = f"word `{origin}` has no object that could take a value"
                 self._note(Code.ECS106, item.at, what, f"write word {origin} in INDEX : SUBINDEX")
         for _, kind in item.parameters:

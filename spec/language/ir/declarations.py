@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -176,22 +177,32 @@ class Variable:
     at: Span = field(default=NOWHERE, compare=False)
 
 
+class InputKind(StrEnum):
+    """Where an input comes from."""
+
+    WRITE = "write"
+    """The MainDevice wrote one of the registers `origin`; parameters are its fields."""
+    FRAME = "frame"
+    """A frame was delivered, and no layout inside `origin` has an input of its own."""
+    EVENT = "event"
+    """Another machine gives it, with `parameters`."""
+    WORD = "word"
+    """The device took a value for the object of the word `origin`; parameters are its fields and
+    `cyclic` (by process data, not by SDO)."""
+    OUTPUTS = "outputs"
+    """The MainDevice wrote process data; the parameter is `image`."""
+    LOCAL = "local"
+    """It happens in the device, unseen by the MainDevice until a rule shows it."""
+    OWN = "own"
+    """The device does it when it likes."""
+
+
 @dataclass(frozen=True, slots=True)
 class Input:
-    """What a machine reacts to.
-
-    kind "write": the MainDevice wrote one of the registers `origin`, parameters are its fields;
-    kind "frame": a frame was delivered, and no layout inside `origin` has an input of its own;
-    kind "event": another machine gives it, with `parameters`;
-    kind "word": the device took a value for the object of the word `origin`, parameters are its
-    fields and `cyclic` (by process data, not by SDO);
-    kind "outputs": the MainDevice wrote process data, the parameter is `image`;
-    kind "local": it happens in the device, unseen by the MainDevice until a rule shows it;
-    kind "own": the device does it when it likes.
-    """
+    """What a machine reacts to."""
 
     name: str
-    kind: str
+    kind: InputKind
     origin: tuple[str, ...]
     parameters: tuple[tuple[str, Type], ...] = ()
     at: Span = field(default=NOWHERE, compare=False)

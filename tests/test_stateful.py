@@ -44,8 +44,8 @@ ROOT = Path(__file__).resolve().parent.parent
 DEVICE = "reference-drive"
 MODEL = Model(load(DEVICE))
 OTHER_FRAMES = ("mailbox_error", "emergency", "sdo_upload_expedited")
-FIRST = settings(database=None, phases=[Phase.generate])
-"""The first that is found will do."""
+FIRST = settings(database=None, phases=[Phase.generate], max_examples=5000)
+"""The first that is found will do; a rare one may take many."""
 QUICK = settings(max_examples=40, suppress_health_check=[HealthCheck.too_slow])
 
 

@@ -6,13 +6,14 @@ done before it is answered, so nobody can tell the difference.
 
 from __future__ import annotations
 
+import errno
 import gc
 import signal
 import time
 from typing import TYPE_CHECKING, Final, Self
 
 from ecatspec.conformance.adapters.model import planted
-from ecatspec.conformance.adapters.raw_socket import LARGEST_FRAME, failed, open_interface
+from ecatspec.conformance.adapters.raw_socket import FrameReader, failed, open_interface
 from ecatspec.conformance.base.devices import load
 from ecatspec.generators.cases.bringup import way_to
 from ecatspec.generators.cases.play import play
@@ -84,7 +85,7 @@ class Segment:
             _rehearse(each)
         self._wire = Wire(wire_format(self._devices[0].device.model))
         self._interface, self._virtual_time = interface, virtual_time
-        self._socket = open_interface(interface, self._wire.format.ethertype)
+        self._socket = open_interface(interface, self._wire.format.ethertype, tags=True)
         self._began = time.monotonic_ns()
         self._switched = False
         gc.freeze()  # what is here stays: to look through it again takes longer than an answer may
@@ -115,16 +116,31 @@ class Segment:
             for number, handler in before.items():
                 signal.signal(number, handler)
 
+    def _sent(self, frame: bytearray) -> bool:
+        """Send a frame back; False: the interface went down meanwhile."""
+        try:
+            self._socket.send(frame)
+        except OSError as error:
+            if error.errno != errno.ENETDOWN:
+                raise
+            return False
+        return True
+
     def _switch(self, *_: object) -> None:
         """Remember that the power goes off and on; it may be in the middle of a frame."""
         self._switched = True
 
     def _serve(self, progress: Progress | None) -> None:
-        buffer, frames, shown = bytearray(LARGEST_FRAME), 0, 0
-        take, send, answered = self._socket.recv_into, self._socket.send, self._wire.pass_on
+        frames, shown = 0, 0
+        take, answered = FrameReader(self._socket, self._wire.format), self._wire.pass_on
         visits = [device.visit for device in self._devices]
         while True:
-            length = take(buffer)
+            try:
+                frame = take()
+            except OSError as error:
+                if error.errno != errno.ENETDOWN:
+                    raise
+                continue  # the next call waits until the interface is up again
             if self._switched:
                 self._switched = False
                 for device in self._devices:
@@ -133,10 +149,8 @@ class Segment:
             if not self._virtual_time:
                 for device in self._devices:
                     device.advance(now)
-            frame = buffer[:length]
             if answered(frame, visits):
-                send(frame)
-                frames += 1
+                frames += self._sent(frame)
             if progress is not None and now > shown + _SHOWN:
                 shown = now
                 states = {device.al_state for device in self._devices}

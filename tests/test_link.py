@@ -378,6 +378,8 @@ def test_a_wrong_checksum_shows_once_it_is_loaded(alone: LinkedSubDevice) -> Non
     _command(alone, RELOAD)
     assert _status(alone) & CHECKSUM_ERROR
     assert alone.read(ALIAS, 2)[1] == bytes(2)
+    _read_word(alone, 0)
+    assert _status(alone) & CHECKSUM_ERROR, "a read command does not make the checksum right"
     _write_word(alone, 4, 0x2222)
     _command(alone, RELOAD)
     assert not _status(alone) & CHECKSUM_ERROR

@@ -252,10 +252,10 @@ class LinkedSubDevice:
         codec = self._model.codec
         size = codec.size("sii_configuration")
         content = bytes(self._eeprom[:size])
-        good = checksum(self._model, content) == self._eeprom[size]
+        self._eeprom_good = checksum(self._model, content) == self._eeprom[size]
         raw = self._content("eeprom_control")
         raw &= ~self._mask("eeprom_control", "checksum_error")
-        if good:
+        if self._eeprom_good:
             start, width = codec.place("sii_configuration", "alias")
             number = int.from_bytes(content, "little") >> start & ((1 << width) - 1)
             self._put("station_alias", number)
@@ -280,7 +280,9 @@ class LinkedSubDevice:
             self._put("eeprom_device_state", 0)
         if not _touches(self._of("eeprom_control"), address, end):
             return
-        told = self._reset("eeprom_control") | self._mask("eeprom_control", "checksum_error") & raw
+        told = self._reset("eeprom_control")
+        if not self._eeprom_good:  # remains until the EEPROM is loaded again, whatever is written
+            told |= self._mask("eeprom_control", "checksum_error")
         command, problem = self._field("eeprom_control", "command"), 0
         names = {row.value: row.name for row in self._model.protocol.tables["eeprom_command"].rows}
         place = self._content("eeprom_address") * WORD

@@ -40,6 +40,8 @@ EEPROM, CONTROL, PLACE, DATA = 0x500, 0x502, 0x504, 0x508
 WATCHDOG_TIME, WATCHDOG = 0x420, 0x440
 READ, WRITE, RELOAD, ENABLE = 0x0100, 0x0200, 0x0400, 0x0001
 BUSY, WRITE_ERROR, COMMAND_ERROR, CHECKSUM_ERROR = 0x8000, 0x4000, 0x2000, 0x0800
+UNUSED_WORD = 0x3F0
+"""A word near the end of the EEPROM, behind its categories."""
 MODEL = Model(linked(load_device("reference-drive"), load_link()))
 MAILBOXES = bytes.fromhex("0010300026000100 8010300022000100")
 
@@ -361,13 +363,13 @@ def test_the_eeprom_is_read_eight_bytes_at_a_time(alone: LinkedSubDevice) -> Non
 
 
 def test_a_word_is_written_only_where_that_is_enabled(alone: LinkedSubDevice) -> None:
-    _command(alone, WRITE, 0x100, b"\x34\x12")
+    _command(alone, WRITE, UNUSED_WORD, b"\x34\x12")
     assert _status(alone) & WRITE_ERROR
-    assert _read_word(alone, 0x100) == 0xFFFF
-    _command(alone, WRITE | ENABLE, 0x100, b"\x34\x12")
+    assert _read_word(alone, UNUSED_WORD) == 0xFFFF
+    _command(alone, WRITE | ENABLE, UNUSED_WORD, b"\x34\x12")
     assert not _status(alone) & WRITE_ERROR
     alone.reset()
-    assert _read_word(alone, 0x100) == 0x1234
+    assert _read_word(alone, UNUSED_WORD) == 0x1234
     _command(alone, WRITE | ENABLE, 0x0010_0000, b"\x34\x12")
     assert _read_word(alone, 0x0010_0000) == 0xFFFF
 
@@ -442,11 +444,11 @@ def test_the_image_of_a_drive_in_full() -> None:
     image = sii_image(segment(1).devices[0].device.model)
     assert struct.unpack_from("<4I", image, 0x10) == (0, 402, 1, 1)
     found = dict(categories(image))
-    assert found[10] == b"\x01\x0freference-drive\0"
+    assert found[10].startswith(b"\x0b\x0freference-drive\x0ccontrol_word\x0ftarget_position")
     assert found[30][:6] == bytes([0, 0, 1, 1, 0, 0b101111])
     rx, tx = found[51], found[50]
     assert rx[:8] == bytes.fromhex("0016 02 02 00 00 0000")
-    assert rx[8:24] == bytes.fromhex("4060 00 00 06 10 0000  7a60 00 00 04 20 0000")
+    assert rx[8:24] == bytes.fromhex("4060 00 02 06 10 0000  7a60 00 03 04 20 0000")
     assert rx[24:28] == bytes.fromhex("0116 02 ff")
     assert tx[:4] == bytes.fromhex("001a 03 03")
 
@@ -457,7 +459,7 @@ def test_the_image_of_a_drive_in_full() -> None:
 def test_the_texts_of_the_link_stand_alone() -> None:
     files = sorted((ROOT / "spec" / "link").glob("*.ecs"))
     protocol = compile_texts([parse_text(f.read_text("utf-8"), str(f)) for f in files], "standard")
-    assert (len(protocol.clauses), len(protocol.registers), len(protocol.frames)) == (21, 30, 8)
+    assert (len(protocol.clauses), len(protocol.registers), len(protocol.frames)) == (23, 30, 9)
     link = load_link()
     assert link.registers == protocol.registers
     standard = load_device("standard")

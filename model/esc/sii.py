@@ -71,6 +71,7 @@ class _Maker:
         named = (self._known.get((entry.index, entry.subindex), b"") for entry in texts)
         self._strings = [*filter(None, named), model.protocol.name.encode()]
         """The name comes first, where MainDevices expect it; the name of the text is the order."""
+        self._order = len(self._strings)
 
     def head(self, size: int) -> bytes:
         """Give the part with fixed places, of an EEPROM with a size in bytes."""
@@ -92,12 +93,13 @@ class _Maker:
 
     def categories(self) -> bytes:
         """Give all categories, and the mark that there are no more."""
+        pdos = {name: b"".join(self._pdos(*of)) for name, *of in _PDOS}
         found = {
-            "strings": self._texts(),
+            "strings": self._texts(),  # after the PDOs, whose entries have names
             "general": self._general(),
             "fmmus": self._fmmus(),
             "sync_managers": b"".join(map(self._manager, _MANAGER_USES, AREAS)),
-            **{name: b"".join(self._pdos(*of)) for name, *of in _PDOS},
+            **pdos,
         }
         parts = (self._category(name, content) for name, content in found.items() if content)
         end = self._model.row("sii_category", "end").to_bytes(WORD, "little")
@@ -118,7 +120,7 @@ class _Maker:
         image, coe = self._model.image, self._goes("mailbox_support", "present")
         present = self._goes("information_support", "served")
         settings: dict[str, Value] = {
-            "order": len(self._strings),
+            "order": self._order,
             "name": 1,
             "coe_sdo": coe,
             "coe_information": coe and present,
@@ -126,9 +128,32 @@ class _Maker:
             "coe_configure": coe and any(map(self._can_write, image.pdos.values())),
             "coe_upload": False,
             "coe_complete": coe and self._goes("complete_access_support", "served"),
-            "physical_ports": self._reset("port_descriptor"),
+            **self._ports(),
         }
         return self._model.codec.encode("sii_general", settings)
+
+    def _ports(self) -> dict[str, Value]:
+        """Give the kind of each port, which has 4 bits here and 2 in the register."""
+        tables = self._model.protocol.tables
+        names = {row.value: row.name for row in tables["port_type"].rows}
+        register = self._model.protocol.registers["port_descriptor"]
+        ports: dict[str, Value] = {}
+        for field in register.fields:
+            kind = register.reset >> field.low & (1 << field.high - field.low + 1) - 1
+            ports[field.name] = self._model.row("physical_port", names.get(kind, "unused"))
+        return ports
+
+    def _named(self, key: ObjectKey | None) -> int:
+        """Give the number of the string with the name of an object; 0: it has none."""
+        entry = None if key is None else self._model.dictionary.entries.get(key)
+        if entry is None:
+            return 0
+        name = entry.name.encode()
+        if name not in self._strings:
+            if len(self._strings) == _BYTE_MASK:
+                return 0
+            self._strings.append(name)
+        return self._strings.index(name) + 1
 
     def _can_write(self, indices: Iterable[int]) -> bool:
         """Tell whether one of the objects can be written at all."""
@@ -152,7 +177,8 @@ class _Maker:
             "start": model.parameter(AREAS[name], "start"),
             "length": length,
             **control_fields(model, name),
-            "enabled": length > 0,
+            # one of process data is needed even where nothing is assigned at power-on
+            "enabled": length > 0 or name in PROCESS_DATA,
             "use": model.row("sync_manager_use", use),
         }
         return model.codec.encode("sii_sync_manager", settings)
@@ -174,6 +200,7 @@ class _Maker:
                 fields: dict[str, Value] = {
                     "index": target,
                     "subindex": part,
+                    "name": self._named(key),
                     "data_type": self._data_type(key),
                     "bit_length": bits,
                 }
@@ -182,6 +209,7 @@ class _Maker:
                 "index": index,
                 "entries": len(entries),
                 "sync_manager": here if index in chosen else elsewhere,
+                "fixed": not self._can_write([index]),
             }
             yield encode("sii_pdo", header) + b"".join(entries)
 

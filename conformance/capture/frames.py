@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from ecatspec.model.esc.wire import Datagram
 
 _PAIRED_SHARE: Final = 0.8
+_JUMPS: Final = 0.1
+"""A source with a larger share of jumps does not count its frames."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,32 @@ class Frame:
             if after.command.counts_up:
                 return after.adp - before.adp
         return None
+
+
+class Sequence:
+    """The datagram indices of one source: a jump shows that frames are missing.
+
+    It tells nothing of a MainDevice that does not count its frames.
+    """
+
+    def __init__(self) -> None:
+        """Begin with a source of which nothing was seen."""
+        self._last: int | None = None
+        self._first = 0
+        self._steps = self._jumps = 0
+
+    def jumps_to(self, index: int) -> bool:
+        """Take in the index of the next request; tell whether requests are missing before it."""
+        last, self._last = self._last, index
+        if last is None:
+            self._first = index
+            return False
+        again = index <= self._first and index != last  # it wraps, or the MainDevice began anew
+        self._steps += 1
+        if index == last + 1 or again:
+            return False
+        self._jumps += 1
+        return self._jumps <= self._steps * _JUMPS
 
 
 # --- requests and returns -------------------------------------------------------------------------

@@ -26,7 +26,7 @@ from ecatspec.model.core.memo import once
 from ecatspec.model.core.register_map import SYNC_MANAGERS, field_of
 from ecatspec.model.core.wording import message_words, register_words
 from ecatspec.model.esc.wire import wire_format
-from ecatspec.model.oracle.explanations import Exchange, Mismatch
+from ecatspec.model.oracle.explanations import Exchange, Loose, Mismatch
 from ecatspec.model.oracle.oracle import Oracle
 from ecatspec.spec.language.ir import Level
 
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 _MICROSECONDS = 1_000_000
 _REMEMBERED = 12
+_LONGEST = ("safeop_timeout", "preop_timeout", "back_timeout", "response_timeout")
+"""Parameters: the longest that a device may take for what it was asked."""
 _REMEMBERED_TO_ALL = 64
 """Maximum number of earlier broadcast writes that a newly seen SubDevice is given."""
 
@@ -61,6 +63,12 @@ class Follower:
     messages: Counter[str] = field(default_factory=Counter)
     exchanges: int = 0
     lost: int = 0
+    gaps: list[int] = field(default_factory=list)
+    """Frames before which others are missing."""
+    settled: int = -1
+    """Until when (us) the device may still do what it was asked in the last gap."""
+    unfollowed: int = 0
+    """Exchanges after a gap before the state and the mailbox were known again."""
     _advised: set[str] = field(default_factory=set)
     """The signatures of the advice that was given already."""
     _shown: str = ""
@@ -77,6 +85,21 @@ class Follower:
         if transaction.confirmed and transaction.done:
             self.oracle.holding(_exchange(transaction))
 
+    def miss(self, frames: list[int], time: float) -> None:
+        """Take it that anything may have been exchanged before these frames, until then (s)."""
+        self.gaps += frames
+        longest = max(map(self.model.parameter, _LONGEST))
+        self.settled = round(time * _MICROSECONDS) + longest
+        self.oracle.unknown(missed=True)
+        self._known = None
+        self._told = ()
+
+    def _is_open(self) -> bool:
+        candidates = self.oracle.candidates
+        return len(self.oracle.known.al_states()) > 1 or any(
+            each.loose is Loose.ALL for each in candidates
+        )
+
     def follow(self, transaction: Transaction) -> None:
         """Judge one access; after a mismatch go on from what it showed."""
         exchange = _exchange(transaction)
@@ -85,8 +108,13 @@ class Follower:
             self.oracle.perhaps(exchange)
             return
         self.exchanges += 1
+        self.unfollowed += bool(self.gaps) and self._is_open()
         self._remember(exchange)
         mismatch = self.oracle.observe(exchange)
+        if mismatch is not None and exchange.time <= self.settled:
+            # it may be what was asked in the gap
+            self.oracle.unknown(missed=True)
+            mismatch = self.oracle.observe(exchange)
         for signature in self.oracle.advice.keys() - self._advised:
             self._advised.add(signature)
             self.verdicts.append(self._verdict(self.oracle.advice[signature], ADVISED))
@@ -220,11 +248,19 @@ def monitor_file(
                 new.begin_after(earlier)
         return followers[identity]
 
+    gaps = 0
     for number, transaction in enumerate(capture):
+        if len(capture.gaps) > gaps:
+            for each in followers.values():
+                each.miss(capture.gaps[gaps:], transaction.time)
+            to_all.clear()
+            gaps = len(capture.gaps)
         if progress is not None and number % 500 == 0:
             progress(number, 0, f"frame {transaction.frame}")
         if transaction.device is not None:
-            follower(capture.segment.canonical(transaction.device)).follow(transaction)
+            identity = capture.segment.canonical(transaction.device)
+            if identity in followers or capture.segment.has_answered(transaction.device):
+                follower(identity).follow(transaction)
         elif transaction.write or len(followers) == 1 == capture.segment.size:
             if transaction.write:
                 to_all.append(transaction)
@@ -256,6 +292,14 @@ def _result(
     states = "AL: " + " -> ".join(follower.path)
     messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
     lost = f"{follower.lost} accesses whose return was not captured" if follower.lost else ""
+    gaps = ""
+    if follower.gaps:
+        share = follower.unfollowed / max(follower.exchanges, 1)
+        count = len(follower.gaps)
+        gaps = (
+            f"frames are missing at {count} place{'s' if count > 1 else ''}, first before frame "
+            f"{follower.gaps[0]}: {share:.0%} of the exchanges could not be followed"
+        )
     refused = [f"refused: {reason}" for reason in dict.fromkeys(follower.reasons)]
     shown = (
         f"{follower.exchanges} exchanges",
@@ -264,6 +308,7 @@ def _result(
         *refused,
         *follower.accidents,
         lost,
+        gaps,
     )
     return Result(
         model.protocol.name,

@@ -75,6 +75,10 @@ class Segment:
         """Identities of the SubDevices that answered at least once."""
         return tuple(sorted({self.canonical(device) for device in self._answered}))
 
+    def has_answered(self, device: int) -> bool:
+        """Tell whether there is such a SubDevice: it answered at least once."""
+        return device in self._answered
+
     def at_station(self, station: int) -> int:
         """Give the identity behind a station address, a fresh one for a new address."""
         device = self._by_station.get(station)

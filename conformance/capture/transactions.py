@@ -15,7 +15,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from ecatspec.conformance.capture.files import NANOSECONDS, BrokenError, NoCaptureError, packets
-from ecatspec.conformance.capture.frames import Content, Frame, Pending, come_in_pairs
+from ecatspec.conformance.capture.frames import Content, Frame, Pending, Sequence, come_in_pairs
 from ecatspec.conformance.capture.segment import Mappings, Segment, Transaction
 from ecatspec.model.esc.wire import Addressing, Command, Datagram, Wire
 
@@ -66,7 +66,8 @@ class Capture:
     """A capture file, ready to be read.
 
     Iterate to get the transactions; each iteration reads the file from the start. `statistics`,
-    `segment` and `truncated` tell about the latest iteration, `truncated` when it has ended.
+    `segment`, `gaps` and `truncated` tell about the latest iteration, `truncated` when it has
+    ended. `gaps` holds the numbers of the frames before which others are missing.
     """
 
     def __init__(self, path: Path, wire: WireFormat) -> None:
@@ -90,6 +91,8 @@ class Capture:
         self.truncated: str | None = None
         self._count: Counter[str] = Counter()
         self._pending = Pending()
+        self._sequences: dict[bytes, Sequence] = {}
+        self.gaps: list[int] = []
         self._start = 0
 
     @property
@@ -179,6 +182,10 @@ class Capture:
                         yield from self._lost(lost)
                 yield from self._returned(frame, request)
             else:
+                source = frame.content.source
+                sequence = self._sequences.setdefault(source, Sequence())
+                if sequence.jumps_to(frame.datagrams[0].index):
+                    self._gap(frame)
                 self._count["requests"] += 1
                 self._pending.add(frame)
         for lost in self._pending.expired(None):
@@ -188,6 +195,8 @@ class Capture:
         self._measure(frame, request)
         if request is None:
             self._count["unmatched_returns"] += 1
+            if self._count["requests"]:
+                self._gap(frame)
         befores = frame.datagrams if request is None else request.datagrams
         for before, after in zip(befores, frame.datagrams, strict=True):
             adp: int | None = before.adp
@@ -205,6 +214,10 @@ class Capture:
                 self.segment.observe(transaction)
                 self._mappings.observe(transaction)
                 yield transaction
+
+    def _gap(self, frame: Frame) -> None:
+        """Note that frames are missing before this one."""
+        self.gaps.append(frame.number)
 
     def _measure(self, frame: Frame, request: Frame | None) -> None:
         """Learn the number of SubDevices: each adds one to the ADP, and a broadcast starts at 0."""

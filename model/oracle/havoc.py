@@ -40,6 +40,16 @@ def warm(model: Model) -> State:
     return state
 
 
+@once
+def unset(model: Model) -> State:
+    """Give a state of which neither registers nor words are known."""
+    state = model.initial
+    for name, slot in model.slots.items():
+        if name.startswith(("register ", "word ")):
+            state = state.having(slot, UNKNOWN)
+    return state
+
+
 def is_open(model: Model, taken: Step) -> bool:
     """Tell whether the texts leave open what the AL does: with it goes all that rests on it."""
     return taken.unspecified and not model.open_gaps.isdisjoint(taken.rules)

@@ -22,7 +22,7 @@ from ecatspec.model.oracle.deviations import deviated, is_mail, shown_anywhere
 from ecatspec.model.oracle.diagnosis import diagnosed
 from ecatspec.model.oracle.expansion import Grown, grown
 from ecatspec.model.oracle.explanations import Candidate, Exchange, Loose
-from ecatspec.model.oracle.havoc import any_states, warm
+from ecatspec.model.oracle.havoc import any_states, unset, warm
 from ecatspec.model.oracle.judged import (
     InputsRead,
     MailboxFound,
@@ -136,9 +136,14 @@ class Oracle:
         self._right = {}
         self._written = 0
 
-    def unknown(self, *, keep: bool = False) -> None:
-        """Go on knowing only the choices of the device; `keep` its registers too."""
+    def unknown(self, *, keep: bool = False, missed: bool = False) -> None:
+        """Go on knowing only the choices of the device; `keep` its registers too.
+
+        After exchanges that were `missed` the mailbox is not taken for the usual one.
+        """
         kept = next(iter(self.candidates)).state if keep and self.candidates else None
+        if missed:
+            kept, self._outputs, self._right = unset(self.model), (), {}
         states = any_states(self.model, self.known.choices() if self.candidates else {}, kept)
         self.candidates = {Candidate(state, loose=Loose.ALL): () for state in states}
         self._suspicion = None

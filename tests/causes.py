@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from grounds import ground_of, suite
+from fault_suites import ground_of, suite
 
 from ecatspec.conformance.base.verdict import CAUSED, Result
 from ecatspec.spec.language.load import load_faults

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from desk import STATES, WAYS, Desk, shown, to, way
+from drive_fixture import STATES, WAYS, Desk, shown, to, way
 
 from ecatspec.generators.cases.case import Happen, SetUpProcessData, WriteOutputs, WriteRegister
 from ecatspec.generators.cases.play import play

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from desk import to
+from drive_fixture import to
 
 from ecatspec.generators.cases.bringup import mailbox_settings, way_to
 from ecatspec.generators.cases.case import SetUpProcessData, Stimulus, WriteOutputs

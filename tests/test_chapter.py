@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from grounds import DEVICES
+from fault_suites import DEVICES
 
 from ecatspec.conformance import cli
 from ecatspec.conformance.describe.device_page import chapter

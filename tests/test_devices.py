@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 import yaml
-from grounds import DEVICES, GROUNDS, apart, suite
+from fault_suites import DEVICES, GROUNDS, apart, suite
 
 from ecatspec.conformance.base.verdict import Outcome
 from ecatspec.conformance.results.run_history import CaseRecord, Record

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from grounds import DEPTH, GROUNDS, LIKELY, REFERENCE, Ground, apart, ground_of, suite
+from fault_suites import DEPTH, GROUNDS, LIKELY, REFERENCE, Ground, apart, ground_of, suite
 
 from ecatspec.conformance.adapters.in_process import Guarded
 from ecatspec.conformance.adapters.model import VirtualAdapter, described, make

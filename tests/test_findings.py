@@ -20,7 +20,7 @@ from causes import (
     page,
     told,
 )
-from grounds import apart, ground_of
+from fault_suites import apart, ground_of
 
 from ecatspec.conformance.run.runner import run_device
 from ecatspec.spec.language.load import load_faults

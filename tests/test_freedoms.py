@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from grounds import GROUNDS, REFERENCE, Ground, apart, suite
+from fault_suites import GROUNDS, REFERENCE, Ground, apart, suite
 
 from ecatspec.conformance.adapters.model import SnapshotAdapter, described
 from ecatspec.conformance.base.devices import load

@@ -28,9 +28,7 @@ OUTSIDE_WORLD = {"asyncio", "secrets", "select", "signal", "socket", "subprocess
 
 # Lines of a module at most, by folder, and of a function; and what is above that.
 MOST_LINES = {"spec": 500, "model": 500, "generators": 600, "conformance": 600}
-LONG_MODULES: dict[str, int] = {
-    "ecatspec.spec.language.parse": 921,
-}
+LONG_MODULES: dict[str, int] = {}
 MOST_LINES_OF_FUNCTION = 60
 LONG_FUNCTIONS: dict[str, int] = {
     "ecatspec.conformance.cli.run.run": 63,
@@ -48,10 +46,14 @@ LONG_FUNCTIONS: dict[str, int] = {
 # Public members of a class at most, and the classes that are above that.
 MOST_MEMBERS = 25
 MEMBERS_OF_ORACLE = 20
+GRAMMAR = "one method for each rule of the grammar"
 LARGE_CLASSES: dict[str, str] = {
     "ecatspec.generators.complete.chain._Chain": "the search keeps its work beside what it found",
     "ecatspec.model.core.compilation.Model": "all that is worked out of a text before it runs",
     "ecatspec.model.esc.wire.WireFormat": "one member for each part of a frame",
+    "ecatspec.spec.language.build_expressions.ExpressionBuilder": GRAMMAR,
+    "ecatspec.spec.language.build_machines.MachineBuilder": GRAMMAR,
+    "ecatspec.spec.language.build_text.TextBuilder": GRAMMAR,
     "ecatspec.spec.language.ir.protocol.Protocol": "one member for each kind of declaration",
 }
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import pytest
-from desk import STATES, WAYS, Desk, shown, to, way
+from drive_fixture import STATES, WAYS, Desk, shown, to, way
 
 from ecatspec.conformance.adapters.model import VirtualAdapter, make
 from ecatspec.conformance.base.verdict import Outcome

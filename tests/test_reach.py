@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from grounds import GROUNDS, REFERENCE, Ground, apart, suite
+from fault_suites import GROUNDS, REFERENCE, Ground, apart, suite
 
 from ecatspec.conformance.base.devices import load
 from ecatspec.conformance.run.coverage import extent_of

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
+from ecatspec.spec.language.build_expressions import MICROSECONDS, TIME_DIGITS
 from ecatspec.spec.language.ir import (
     AnyValue,
     Area,
@@ -37,7 +38,6 @@ from ecatspec.spec.language.ir import (
     UInt,
     Unary,
 )
-from ecatspec.spec.language.parse import MICROSECONDS, TIME_DIGITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

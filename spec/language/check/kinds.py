@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, assert_never
 
 from ecatspec.spec.language.arithmetic import DIVISIONS, constant
+from ecatspec.spec.language.build_expressions import TIME_DIGITS
 from ecatspec.spec.language.check.findings import Findings
 from ecatspec.spec.language.diagnostics import Code, near
 from ecatspec.spec.language.functions import CYCLIC, EDGES, FUNCTIONS, WITH_BEFORE
@@ -32,7 +33,6 @@ from ecatspec.spec.language.ir import (
 )
 from ecatspec.spec.language.kinds import bounds_of, expectation, kind_of, kind_of_ref
 from ecatspec.spec.language.logic import COMPARED
-from ecatspec.spec.language.parse import TIME_DIGITS
 from ecatspec.spec.language.references import (
     ChoiceRef,
     ConstantRef,

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 
 class Code(Enum):
-    """All findings: 0 syntax, 1 names, 2 types, 3 meaning, 4 device text against standard."""
+    """All findings: 0 syntax, 1 names, 2 types, 3 meaning, 4 and 5 device texts.
+
+    4 compares a device text with the standard, 5 with itself.
+    """
 
     ECS001 = "a word or sign stands where the language does not expect it"
     ECS002 = "the text ends in the middle of a declaration"
@@ -49,6 +52,19 @@ class Code(Enum):
     ECS405 = "the values of an object contradict each other"
     ECS406 = "the claims of a manual and the clauses do not fit together"
     ECS407 = "a clause that cannot be observed is cited, or says no reason"
+
+    ECS501 = "an object of a device cites no clause"
+    ECS502 = "two objects of a device have the same name"
+    ECS503 = "an object has no whole number of bytes"
+    ECS504 = "an object counts more entries than it has"
+    ECS505 = "an object has another length than the word that describes it"
+    ECS506 = "a drive has a control word and no status word"
+    ECS507 = "the number of entries of the identity is wrong or missing"
+    ECS508 = "an assignment names no PDO of the device and the direction"
+    ECS509 = "a mapped object is not declared"
+    ECS510 = "a mapped object has another length or direction, or cannot be mapped"
+    ECS511 = "two memory areas overlap"
+    ECS512 = "a memory area is too small"
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,13 +115,19 @@ def compile_texts(texts: Sequence[SourceText], name: str | None = None) -> Proto
     Without a name the only device text is taken, if there is one.
     """
     # what has been checked is kept, so most starts need no checks
-    from ecatspec.spec.language.check import check_protocol, check_words  # noqa: PLC0415
+    from ecatspec.spec.language.check import (  # noqa: PLC0415
+        check_device,
+        check_protocol,
+        check_words,
+    )
     from ecatspec.spec.language.check.texts import check_texts  # noqa: PLC0415
 
     chosen = _chosen(texts, name)
     _raise(check_texts(chosen))
     protocol = _together(chosen, name)
     _raise(check_protocol(protocol))
+    for device in (text for text in chosen if text.extends is not None):
+        _raise(check_device(protocol, device, (t for t in chosen if t.extends is None)))
     for fault in (d for text in chosen for d in text.declarations if isinstance(d, Fault)):
         faulty, findings = with_fault(protocol, fault)
         _raise(findings or check_words(faulty))

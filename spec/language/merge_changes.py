@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic
 from ecatspec.spec.language.ir import (
@@ -61,6 +62,7 @@ _Cites = TypeVar(
     "_Cites", Register, Word, Parameter, Frame, Choice, Condition, Definition, Property
 )
 
+_MOST_NAMES: Final = 5
 _STATEMENTS = (Pin, Open, Confirm, Close, SetParameter, Replace, Remove, ReplaceField, Dictionary)
 
 
@@ -181,7 +183,7 @@ class Changes:
                 Code.ECS401,
                 pin.at,
                 f"there is no choice `{pin.choice}`",
-                f"pin one of {listed(self.choices)}",
+                f"pin one of {listed(self.choices, pin.choice)}",
             )
             return
         names = [alternative.name for alternative in choice.alternatives]
@@ -190,7 +192,7 @@ class Changes:
                 Code.ECS401,
                 pin.at,
                 f"choice `{pin.choice}` has no alternative `{pin.alternative}`",
-                f"take one of {listed(names)}",
+                f"take one of {listed(names, pin.alternative)}",
             )
         if pin.choice in self.opened:
             self._pinned_and_open(pin.choice, pin.at)
@@ -202,7 +204,7 @@ class Changes:
                 Code.ECS401,
                 left.at,
                 f"there is no choice `{left.choice}`",
-                f"leave one of {listed(self.choices)} open",
+                f"leave one of {listed(self.choices, left.choice)} open",
             )
         if left.choice in self.pins:
             self._pinned_and_open(left.choice, left.at)
@@ -262,7 +264,7 @@ class Changes:
                 Code.ECS401,
                 setting.at,
                 f"there is no parameter `{setting.name}`",
-                f"set one of {listed(self.parameters)}",
+                f"set one of {listed(self.parameters, setting.name)}",
             )
             return
         if parameter.value == setting.value:
@@ -273,7 +275,10 @@ class Changes:
                 "take the line away or give another value",
             )
         self.parameters[setting.name] = replace(
-            parameter, value=setting.value, clauses=setting.clauses + parameter.clauses
+            parameter,
+            value=setting.value,
+            clauses=setting.clauses + parameter.clauses,
+            at=setting.at,
         )
 
     def _machine(self, statement: Replace | Remove | Extend) -> Machine | None:
@@ -283,7 +288,7 @@ class Changes:
                 Code.ECS401,
                 statement.at,
                 f"there is no machine `{statement.machine}`",
-                f"name one of {listed(self.machines)}",
+                f"name one of {listed(self.machines, statement.machine)}",
             )
         return machine
 
@@ -458,6 +463,11 @@ def joined(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(first + second))
 
 
-def listed(names: Iterable[str]) -> str:
-    """Give names as one text."""
+def listed(names: Iterable[str], wanted: str | None = None) -> str:
+    """Give names as one text; beside a `wanted` one the nearest first, and at most five."""
+    names = list(names)
+    if wanted is not None and len(names) > _MOST_NAMES:
+        close = difflib.get_close_matches(wanted, names, _MOST_NAMES, 0.6)
+        names = [*close, *(name for name in names if name not in close)][:_MOST_NAMES]
+        return ", ".join(f"`{name}`" for name in names) + ", ..."
     return ", ".join(f"`{name}`" for name in names) or "nothing"

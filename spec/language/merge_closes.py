@@ -40,7 +40,7 @@ class Closes(Changes):
                 Code.ECS401,
                 close.at,
                 f"there is no table `{close.table}`",
-                f"close one of {listed(self.tables)}",
+                f"close one of {listed(self.tables, close.table)}",
             )
             return
         names = {row.name: row.value for row in table.rows}

@@ -270,12 +270,13 @@ class StructureChecker(Findings):
 
     def objects(self) -> None:
         """The range, the default and the type of an object must agree, and its states exist."""
-        rows = {row.name for table in self._protocol.tables.values() for row in table.rows}
+        al = self._protocol.tables.get("al_state")
+        rows = {row.name for row in al.rows} if al is not None else set()
         for entry in self._protocol.objects:
             what = f"object {entry.index:#06x}:{entry.subindex} `{entry.name}`"
             for state in (*entry.states, *entry.read_states):
                 if state not in rows:
-                    self._missing("state", state, rows, entry.at)
+                    self._missing("AL state", state, rows, entry.at)
             problem = self._problem(entry)
             if problem is not None:
                 self._note(Code.ECS405, entry.at, f"{what}: {problem}", "correct the row")

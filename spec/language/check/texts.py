@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, assert_never
 
 from ecatspec.spec.language.diagnostics import Code, Diagnostic, near
 from ecatspec.spec.language.ir import (
+    STANDARD,
     Anomaly,
     Choice,
     Clause,
@@ -67,6 +68,7 @@ def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
     clauses = {clause.id: clause for clause in declarations if isinstance(clause, Clause)}
     findings = [*_twice(texts), *_circles(declarations), *_in_vain(texts)]
     findings += _unreasoned(clauses.values())
+    findings += _founded(texts)
     for declaration in declarations:
         for name, cited, at in _citations(declaration):
             if not cited and name.startswith(("rule", "gap")):
@@ -101,6 +103,18 @@ def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
                 and not isinstance(declaration, Anomaly)
             )
     return findings
+
+
+def _founded(texts: Iterable[SourceText]) -> Iterator[Diagnostic]:
+    """A device text stands on the standard, and there is no other."""
+    for text in texts:
+        if text.extends not in {None, STANDARD}:
+            yield Diagnostic(
+                Code.ECS106,
+                text.at,
+                f"there is nothing called `{text.extends}` to extend",
+                f"write `extends {STANDARD}`",
+            )
 
 
 def _unreasoned(clauses: Iterable[Clause]) -> Iterator[Diagnostic]:

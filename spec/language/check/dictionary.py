@@ -176,7 +176,7 @@ class DictionaryChecker(Findings):
         return total
 
     def _counted(self, index: int) -> Iterator[ObjectEntry]:
-        """Give the entries that the number at subindex 0 reaches; what lies beyond has no effect."""
+        """Give the entries that the number at subindex 0 reaches; others have no effect."""
         head = self._objects.get((index, 0))
         if head is not None and isinstance(head.default, int):
             for subindex in range(1, min(head.default, self._last[index]) + 1):

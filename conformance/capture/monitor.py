@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.base.devices import load
@@ -24,7 +24,7 @@ from ecatspec.conformance.run.coverage import extent_of
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.register_map import SYNC_MANAGERS, field_of
-from ecatspec.model.core.wording import message_words, register_words
+from ecatspec.model.core.wording import message_words, register_words, typed_words
 from ecatspec.model.esc.wire import wire_format
 from ecatspec.model.oracle.explanations import Exchange, Loose, Mismatch
 from ecatspec.model.oracle.oracle import Oracle
@@ -72,6 +72,10 @@ class Follower:
     _advised: set[str] = field(default_factory=set)
     """The signatures of the advice that was given already."""
     _shown: str = ""
+    _failed: bool = False
+    """Whether the state seen last has an error: only then the AL status code says something."""
+    _code: str = ""
+    """The AL status code seen last in that state."""
     _told: tuple[str, ...] = ()
     """The reasons after the last look."""
     _starts: dict[str, int | None] = field(default_factory=dict)
@@ -151,9 +155,8 @@ class Follower:
 
     def _words(self, exchange: Exchange) -> tuple[str, bytes]:
         """Give what an exchange says, and the bytes of a message."""
-        said, status = _said(self.model, exchange.write, exchange.address, exchange.data)
-        if status and not (self.path and self.path[-1].startswith(status)):
-            self.path.append(f"{status} ({exchange.reference})")
+        said, state = _said(self.model, exchange.write, exchange.address, exchange.data)
+        self._follow_path(state, exchange.reference)
         if exchange.address != self._start(SYNC_MANAGERS[0 if exchange.write else 1]):
             return said, b""
         message = self.model.decode(exchange.data)
@@ -164,6 +167,17 @@ class Follower:
         return f"{said}; {words}" if said else words, exchange.data[
             : self.model.codec.length(message)
         ]
+
+    def _follow_path(self, seen: _Seen, reference: str) -> None:
+        """Take in a state, and the AL status code where the state has an error."""
+        if seen.status:
+            self._failed = seen.error
+            if not (self.path and self.path[-1].startswith(seen.status)):
+                self.path.append(f"{seen.status} ({reference})")
+                self._code = ""
+        if self._failed and seen.code and seen.code != self._code:
+            self._code = seen.code
+            self.path[-1] += f", AL status code {seen.code} ({reference})"
 
     def _start(self, name: str) -> int | None:
         """Give where a mailbox begins."""
@@ -206,10 +220,19 @@ def _exchange(transaction: Transaction) -> Exchange:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What an access shows of the state of the AL; empty where it shows nothing."""
+
+    status: str = ""
+    error: bool = False
+    code: str = ""
+
+
 @once
-def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, str]:  # noqa: FBT001
-    """Give what an access to registers of the AL says in words, and what it says of the state."""
-    parts, status = [], ""
+def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, _Seen]:  # noqa: FBT001
+    """Give what an access to registers of the AL says in words, and what it shows of the state."""
+    parts, seen = [], _Seen()
     for name in ("al_control", "al_status", "al_status_code"):
         register = model.protocol.registers[name]
         offset = register.address - address
@@ -222,8 +245,11 @@ def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, st
         }
         parts.append(register_words(model, name, fields))
         if name == "al_status":
-            status = parts[-1]
-    return "; ".join(parts), status
+            seen = replace(seen, status=parts[-1], error=bool(fields["error"]))
+        elif name == "al_status_code" and raw and len(content) == register.size:
+            kinds = {bits.name: bits.type for bits in register.fields}
+            seen = replace(seen, code=typed_words(model, kinds["code"], fields["code"]))
+    return "; ".join(parts), seen
 
 
 def monitor_file(

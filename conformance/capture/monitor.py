@@ -252,51 +252,93 @@ def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, _S
     return "; ".join(parts), seen
 
 
+class _Judge:
+    """The SubDevices of a capture, each with its follower."""
+
+    def __init__(self, model: Model, capture: Capture) -> None:
+        self._model = model
+        self._capture = capture
+        self.followers: dict[int, Follower] = {}
+        self._to_all: deque[Transaction] = deque(maxlen=_REMEMBERED_TO_ALL)
+        self._gaps = 0
+
+    def _follower(self, identity: int) -> Follower:
+        if identity not in self.followers:
+            oracle = Oracle(self._model)
+            oracle.unknown()
+            self.followers[identity] = new = Follower(self._model, oracle)
+            for earlier in self._to_all:
+                new.begin_after(earlier)
+        return self.followers[identity]
+
+    def follow(self, transaction: Transaction) -> None:
+        """Give an access to those whom it concerns."""
+        gaps, segment = self._capture.gaps, self._capture.segment
+        if len(gaps) > self._gaps:
+            for each in self.followers.values():
+                each.miss(gaps[self._gaps :], transaction.time)
+            self._to_all.clear()
+            self._gaps = len(gaps)
+        if transaction.device is not None:
+            identity = segment.canonical(transaction.device)
+            if identity in self.followers or segment.has_answered(transaction.device):
+                self._follower(identity).follow(transaction)
+        elif transaction.write or len(self.followers) == 1 == segment.size:
+            if transaction.write:
+                self._to_all.append(transaction)
+            for each in self.followers.values():
+                each.follow(transaction)
+
+
 def monitor_file(
     path: Path,
     device: str,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> tuple[Result, ...]:
-    """Judge every SubDevice of a capture against a device text; one result each."""
+    """Judge every SubDevice of a capture against a device text; one result each.
+
+    Where no SubDevice answers, one result says so. A KeyboardInterrupt ends the capture early: the
+    results are those of what was read, and `interrupted`.
+    """
     began = time.monotonic()
     protocol = load(device)
     model = Model(protocol)
     capture = Capture(path, wire_format(model))
-    followers: dict[int, Follower] = {}
-    to_all: deque[Transaction] = deque(maxlen=_REMEMBERED_TO_ALL)
-
-    def follower(identity: int) -> Follower:
-        if identity not in followers:
-            oracle = Oracle(model)
-            oracle.unknown()
-            followers[identity] = new = Follower(model, oracle)
-            for earlier in to_all:
-                new.begin_after(earlier)
-        return followers[identity]
-
-    gaps = 0
-    for number, transaction in enumerate(capture):
-        if len(capture.gaps) > gaps:
-            for each in followers.values():
-                each.miss(capture.gaps[gaps:], transaction.time)
-            to_all.clear()
-            gaps = len(capture.gaps)
-        if progress is not None and number % 500 == 0:
-            progress(number, 0, f"frame {transaction.frame}")
-        if transaction.device is not None:
-            identity = capture.segment.canonical(transaction.device)
-            if identity in followers or capture.segment.has_answered(transaction.device):
-                follower(identity).follow(transaction)
-        elif transaction.write or len(followers) == 1 == capture.segment.size:
-            if transaction.write:
-                to_all.append(transaction)
-            for each in followers.values():
-                each.follow(transaction)
+    judge = _Judge(model, capture)
+    interrupted = False
+    try:
+        for number, transaction in enumerate(capture):
+            if progress is not None and number % 500 == 0:
+                progress(number, 0, f"frame {transaction.frame}")
+            judge.follow(transaction)
+    except KeyboardInterrupt:
+        interrupted = True
     seconds = time.monotonic() - began
     notes = [] if capture.truncated is None else [capture.truncated]
-    return tuple(
+    results = tuple(
         _result(model, capture.segment.name(identity), path, each, seconds, notes)
-        for identity, each in sorted(followers.items())
+        for identity, each in sorted(judge.followers.items())
+    )
+    results = results or (_nothing(model, path, seconds, notes),)
+    return tuple(replace(result, interrupted=interrupted) for result in results)
+
+
+def _nothing(model: Model, path: Path, seconds: float, notes: list[str]) -> Result:
+    """Give the result of a capture in which no SubDevice answers."""
+    extent = extent_of(model, set(), {})
+    reason = "no SubDevice answers in the capture; record the frames after they came back"
+    return Result(
+        model.protocol.name,
+        path.name,
+        (Verdict("monitor/nothing", Outcome.INCONCLUSIVE, path.name, reason),),
+        extent.rules_covered,
+        extent.rules_total,
+        extent.clauses_covered,
+        extent.clauses_total,
+        seconds,
+        notes=tuple(notes),
+        rules_beyond=extent.rules_beyond,
+        clauses_beyond=extent.clauses_beyond,
     )
 
 

@@ -63,6 +63,11 @@ class Follower:
     messages: Counter[str] = field(default_factory=Counter)
     exchanges: int = 0
     lost: int = 0
+    """Accesses whose return was not captured: a request has working counter 0."""
+    unclear: int = 0
+    """Accesses that came back with a working counter that does not say whose part was done."""
+    first_unclear: str = ""
+    """The frame and the working counter of the first of them."""
     gaps: list[int] = field(default_factory=list)
     """Frames before which others are missing."""
     settled: int = -1
@@ -108,7 +113,12 @@ class Follower:
         """Judge one access; after a mismatch go on from what it showed."""
         exchange = _exchange(transaction)
         if not transaction.confirmed:
-            self.lost += 1
+            if transaction.working_counter:
+                self.unclear += 1
+                counter = f"{transaction.working_counter} in {exchange.reference}"
+                self.first_unclear = self.first_unclear or counter
+            else:
+                self.lost += 1
             self.oracle.perhaps(exchange)
             return
         self.exchanges += 1
@@ -360,6 +370,12 @@ def _result(
     states = "AL: " + " -> ".join(follower.path)
     messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
     lost = f"{follower.lost} accesses whose return was not captured" if follower.lost else ""
+    unclear = (
+        f"{follower.unclear} accesses whose working counter does not say which SubDevices carried "
+        f"them out, first {follower.first_unclear}"
+        if follower.unclear
+        else ""
+    )
     gaps = ""
     if follower.gaps:
         share = follower.unfollowed / max(follower.exchanges, 1)
@@ -376,6 +392,7 @@ def _result(
         *refused,
         *follower.accidents,
         lost,
+        unclear,
         gaps,
     )
     return Result(

@@ -42,6 +42,8 @@ _MICROSECONDS = 1_000_000
 _REMEMBERED = 12
 _LONGEST = ("safeop_timeout", "preop_timeout", "back_timeout", "response_timeout")
 """Parameters: the longest that a device may take for what it was asked."""
+_TOO_MANY = 64
+"""Explanations after a gap; beyond, each exchange takes long and tells little."""
 _REMEMBERED_TO_ALL = 64
 """Maximum number of earlier broadcast writes that a newly seen SubDevice is given."""
 
@@ -97,8 +99,12 @@ class Follower:
     def miss(self, frames: list[int], time: float) -> None:
         """Take it that anything may have been exchanged before these frames, until then (s)."""
         self.gaps += frames
+        self._lose(round(time * _MICROSECONDS))
+
+    def _lose(self, moment: int) -> None:
+        """Go on without what was known until then (us)."""
         longest = max(map(self.model.parameter, _LONGEST))
-        self.settled = round(time * _MICROSECONDS) + longest
+        self.settled = moment + longest
         self.oracle.unknown(missed=True)
         self._known = None
         self._told = ()
@@ -152,6 +158,8 @@ class Follower:
             self.oracle.forget_history()
         self._known = self.oracle.candidates
         self._told = self.oracle.known.reasons()
+        if self.gaps and len(self.oracle.candidates) > _TOO_MANY:
+            self._lose(exchange.time)
 
     def _remember(self, exchange: Exchange) -> None:
         if not exchange.working_counter:

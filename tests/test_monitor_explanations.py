@@ -23,8 +23,8 @@ MOST = 64
 def test_few_explanations_are_followed_after_a_gap(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with (shared / "captures" / "soem-sdinfo-akd.pcapng").open("rb") as file:
-        frames = [(moment, bytes(data)) for moment, data in dpkt.pcapng.Reader(file)]
+    with (shared / "captures" / "soem-sdinfo-akd.pcapng").open("rb") as source:
+        frames = [(moment, bytes(data)) for moment, data in dpkt.pcapng.Reader(source)]
     cut = tmp_path / "gap.pcap"
     with cut.open("wb") as file:
         writer = dpkt.pcap.Writer(file, nano=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from ecatspec.conformance.base.devices import load
@@ -24,7 +24,7 @@ from ecatspec.conformance.run.coverage import extent_of
 from ecatspec.model.core.compilation import Model
 from ecatspec.model.core.memo import once
 from ecatspec.model.core.register_map import SYNC_MANAGERS, field_of
-from ecatspec.model.core.wording import message_words, register_words
+from ecatspec.model.core.wording import message_words, register_words, typed_words
 from ecatspec.model.esc.wire import wire_format
 from ecatspec.model.oracle.explanations import Exchange, Loose, Mismatch
 from ecatspec.model.oracle.oracle import Oracle
@@ -42,6 +42,8 @@ _MICROSECONDS = 1_000_000
 _REMEMBERED = 12
 _LONGEST = ("safeop_timeout", "preop_timeout", "back_timeout", "response_timeout")
 """Parameters: the longest that a device may take for what it was asked."""
+_TOO_MANY = 64
+"""Explanations after a gap; beyond, each exchange takes long and tells little."""
 _REMEMBERED_TO_ALL = 64
 """Maximum number of earlier broadcast writes that a newly seen SubDevice is given."""
 
@@ -63,6 +65,11 @@ class Follower:
     messages: Counter[str] = field(default_factory=Counter)
     exchanges: int = 0
     lost: int = 0
+    """Accesses whose return was not captured: a request has working counter 0."""
+    unclear: int = 0
+    """Accesses that came back with a working counter that does not say whose part was done."""
+    first_unclear: str = ""
+    """The frame and the working counter of the first of them."""
     gaps: list[int] = field(default_factory=list)
     """Frames before which others are missing."""
     settled: int = -1
@@ -72,6 +79,10 @@ class Follower:
     _advised: set[str] = field(default_factory=set)
     """The signatures of the advice that was given already."""
     _shown: str = ""
+    _failed: bool = False
+    """Whether the state seen last has an error: only then the AL status code says something."""
+    _code: str = ""
+    """The AL status code seen last in that state."""
     _told: tuple[str, ...] = ()
     """The reasons after the last look."""
     _starts: dict[str, int | None] = field(default_factory=dict)
@@ -88,8 +99,12 @@ class Follower:
     def miss(self, frames: list[int], time: float) -> None:
         """Take it that anything may have been exchanged before these frames, until then (s)."""
         self.gaps += frames
+        self._lose(round(time * _MICROSECONDS))
+
+    def _lose(self, moment: int) -> None:
+        """Go on without what was known until then (us)."""
         longest = max(map(self.model.parameter, _LONGEST))
-        self.settled = round(time * _MICROSECONDS) + longest
+        self.settled = moment + longest
         self.oracle.unknown(missed=True)
         self._known = None
         self._told = ()
@@ -104,7 +119,12 @@ class Follower:
         """Judge one access; after a mismatch go on from what it showed."""
         exchange = _exchange(transaction)
         if not transaction.confirmed:
-            self.lost += 1
+            if transaction.working_counter:
+                self.unclear += 1
+                counter = f"{transaction.working_counter} in {exchange.reference}"
+                self.first_unclear = self.first_unclear or counter
+            else:
+                self.lost += 1
             self.oracle.perhaps(exchange)
             return
         self.exchanges += 1
@@ -138,6 +158,8 @@ class Follower:
             self.oracle.forget_history()
         self._known = self.oracle.candidates
         self._told = self.oracle.known.reasons()
+        if self.gaps and len(self.oracle.candidates) > _TOO_MANY:
+            self._lose(exchange.time)
 
     def _remember(self, exchange: Exchange) -> None:
         if not exchange.working_counter:
@@ -151,9 +173,8 @@ class Follower:
 
     def _words(self, exchange: Exchange) -> tuple[str, bytes]:
         """Give what an exchange says, and the bytes of a message."""
-        said, status = _said(self.model, exchange.write, exchange.address, exchange.data)
-        if status and not (self.path and self.path[-1].startswith(status)):
-            self.path.append(f"{status} ({exchange.reference})")
+        said, state = _said(self.model, exchange.write, exchange.address, exchange.data)
+        self._follow_path(state, exchange.reference)
         if exchange.address != self._start(SYNC_MANAGERS[0 if exchange.write else 1]):
             return said, b""
         message = self.model.decode(exchange.data)
@@ -164,6 +185,17 @@ class Follower:
         return f"{said}; {words}" if said else words, exchange.data[
             : self.model.codec.length(message)
         ]
+
+    def _follow_path(self, seen: _Seen, reference: str) -> None:
+        """Take in a state, and the AL status code where the state has an error."""
+        if seen.status:
+            self._failed = seen.error
+            if not (self.path and self.path[-1].startswith(seen.status)):
+                self.path.append(f"{seen.status} ({reference})")
+                self._code = ""
+        if self._failed and seen.code and seen.code != self._code:
+            self._code = seen.code
+            self.path[-1] += f", AL status code {seen.code} ({reference})"
 
     def _start(self, name: str) -> int | None:
         """Give where a mailbox begins."""
@@ -206,10 +238,19 @@ def _exchange(transaction: Transaction) -> Exchange:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What an access shows of the state of the AL; empty where it shows nothing."""
+
+    status: str = ""
+    error: bool = False
+    code: str = ""
+
+
 @once
-def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, str]:  # noqa: FBT001
-    """Give what an access to registers of the AL says in words, and what it says of the state."""
-    parts, status = [], ""
+def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, _Seen]:  # noqa: FBT001
+    """Give what an access to registers of the AL says in words, and what it shows of the state."""
+    parts, seen = [], _Seen()
     for name in ("al_control", "al_status", "al_status_code"):
         register = model.protocol.registers[name]
         offset = register.address - address
@@ -222,8 +263,49 @@ def _said(model: Model, write: bool, address: int, data: bytes) -> tuple[str, st
         }
         parts.append(register_words(model, name, fields))
         if name == "al_status":
-            status = parts[-1]
-    return "; ".join(parts), status
+            seen = replace(seen, status=parts[-1], error=bool(fields["error"]))
+        elif name == "al_status_code" and raw and len(content) == register.size:
+            kinds = {bits.name: bits.type for bits in register.fields}
+            seen = replace(seen, code=typed_words(model, kinds["code"], fields["code"]))
+    return "; ".join(parts), seen
+
+
+class _Judge:
+    """The SubDevices of a capture, each with its follower."""
+
+    def __init__(self, model: Model, capture: Capture) -> None:
+        self._model = model
+        self._capture = capture
+        self.followers: dict[int, Follower] = {}
+        self._to_all: deque[Transaction] = deque(maxlen=_REMEMBERED_TO_ALL)
+        self._gaps = 0
+
+    def _follower(self, identity: int) -> Follower:
+        if identity not in self.followers:
+            oracle = Oracle(self._model)
+            oracle.unknown()
+            self.followers[identity] = new = Follower(self._model, oracle)
+            for earlier in self._to_all:
+                new.begin_after(earlier)
+        return self.followers[identity]
+
+    def follow(self, transaction: Transaction) -> None:
+        """Give an access to those whom it concerns."""
+        gaps, segment = self._capture.gaps, self._capture.segment
+        if len(gaps) > self._gaps:
+            for each in self.followers.values():
+                each.miss(gaps[self._gaps :], transaction.time)
+            self._to_all.clear()
+            self._gaps = len(gaps)
+        if transaction.device is not None:
+            identity = segment.canonical(transaction.device)
+            if identity in self.followers or segment.has_answered(transaction.device):
+                self._follower(identity).follow(transaction)
+        elif transaction.write or len(self.followers) == 1 == segment.size:
+            if transaction.write:
+                self._to_all.append(transaction)
+            for each in self.followers.values():
+                each.follow(transaction)
 
 
 def monitor_file(
@@ -231,46 +313,50 @@ def monitor_file(
     device: str,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> tuple[Result, ...]:
-    """Judge every SubDevice of a capture against a device text; one result each."""
+    """Judge every SubDevice of a capture against a device text; one result each.
+
+    Where no SubDevice answers, one result says so. A KeyboardInterrupt ends the capture early: the
+    results are those of what was read, and `interrupted`.
+    """
     began = time.monotonic()
     protocol = load(device)
     model = Model(protocol)
     capture = Capture(path, wire_format(model))
-    followers: dict[int, Follower] = {}
-    to_all: deque[Transaction] = deque(maxlen=_REMEMBERED_TO_ALL)
-
-    def follower(identity: int) -> Follower:
-        if identity not in followers:
-            oracle = Oracle(model)
-            oracle.unknown()
-            followers[identity] = new = Follower(model, oracle)
-            for earlier in to_all:
-                new.begin_after(earlier)
-        return followers[identity]
-
-    gaps = 0
-    for number, transaction in enumerate(capture):
-        if len(capture.gaps) > gaps:
-            for each in followers.values():
-                each.miss(capture.gaps[gaps:], transaction.time)
-            to_all.clear()
-            gaps = len(capture.gaps)
-        if progress is not None and number % 500 == 0:
-            progress(number, 0, f"frame {transaction.frame}")
-        if transaction.device is not None:
-            identity = capture.segment.canonical(transaction.device)
-            if identity in followers or capture.segment.has_answered(transaction.device):
-                follower(identity).follow(transaction)
-        elif transaction.write or len(followers) == 1 == capture.segment.size:
-            if transaction.write:
-                to_all.append(transaction)
-            for each in followers.values():
-                each.follow(transaction)
+    judge = _Judge(model, capture)
+    interrupted = False
+    try:
+        for number, transaction in enumerate(capture):
+            if progress is not None and number % 500 == 0:
+                progress(number, 0, f"frame {transaction.frame}")
+            judge.follow(transaction)
+    except KeyboardInterrupt:
+        interrupted = True
     seconds = time.monotonic() - began
     notes = [] if capture.truncated is None else [capture.truncated]
-    return tuple(
+    results = tuple(
         _result(model, capture.segment.name(identity), path, each, seconds, notes)
-        for identity, each in sorted(followers.items())
+        for identity, each in sorted(judge.followers.items())
+    )
+    results = results or (_nothing(model, path, seconds, notes),)
+    return tuple(replace(result, interrupted=interrupted) for result in results)
+
+
+def _nothing(model: Model, path: Path, seconds: float, notes: list[str]) -> Result:
+    """Give the result of a capture in which no SubDevice answers."""
+    extent = extent_of(model, set(), {})
+    reason = "no SubDevice answers in the capture; record the frames after they came back"
+    return Result(
+        model.protocol.name,
+        path.name,
+        (Verdict("monitor/nothing", Outcome.INCONCLUSIVE, path.name, reason),),
+        extent.rules_covered,
+        extent.rules_total,
+        extent.clauses_covered,
+        extent.clauses_total,
+        seconds,
+        notes=tuple(notes),
+        rules_beyond=extent.rules_beyond,
+        clauses_beyond=extent.clauses_beyond,
     )
 
 
@@ -292,6 +378,12 @@ def _result(
     states = "AL: " + " -> ".join(follower.path)
     messages = ", ".join(f"{count} {frame}" for frame, count in sorted(follower.messages.items()))
     lost = f"{follower.lost} accesses whose return was not captured" if follower.lost else ""
+    unclear = (
+        f"{follower.unclear} accesses whose working counter does not say which SubDevices carried "
+        f"them out, first {follower.first_unclear}"
+        if follower.unclear
+        else ""
+    )
     gaps = ""
     if follower.gaps:
         share = follower.unfollowed / max(follower.exchanges, 1)
@@ -308,6 +400,7 @@ def _result(
         *refused,
         *follower.accidents,
         lost,
+        unclear,
         gaps,
     )
     return Result(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from ecatspec.spec.language.check.findings import Findings
 from ecatspec.spec.language.diagnostics import Code
-from ecatspec.spec.language.ir import Access, Bool, Literal
+from ecatspec.spec.language.ir import Access, Literal
 from ecatspec.spec.language.kinds import width_of
 
 if TYPE_CHECKING:
@@ -58,10 +58,11 @@ class DictionaryChecker(Findings):
             self._direction(name, first)
 
     def _whole(self, entry: ObjectEntry) -> None:
+        """Types of less than a byte (BIT2 to BIT7) are carried in one."""
         width = width_of(self._protocol, entry.type)
-        if width is not None and width % _BITS and not isinstance(entry.type, Bool):
+        if width is not None and width > _BITS and width % _BITS:
             what = f"{_called(entry)} has {width} bits, and an SDO carries bytes"
-            remedy = f"take bool or a number of {width + _BITS - width % _BITS} bits"
+            remedy = f"take a number of {width + _BITS - width % _BITS} bits"
             self._note(Code.ECS503, entry.at, what, remedy)
 
     def _count(self, entry: ObjectEntry) -> None:

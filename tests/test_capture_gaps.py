@@ -41,7 +41,7 @@ def written(path: Path, frames: Iterable[tuple[float, bytes]]) -> Path:
 
 
 @pytest.mark.parametrize(("name", "first", "length"), GAPS)
-def test_a_gap_blames_nobody(
+def test_a_gap_blames_no_device(
     shared: Path, tmp_path: Path, name: str, first: int, length: int
 ) -> None:
     frames = packets(shared / "captures" / f"{name}.pcapng")

@@ -65,11 +65,11 @@ class Frame:
 class Sequence:
     """The datagram indices of one source: a jump shows that frames are missing.
 
-    It tells nothing of a MainDevice that does not count its frames.
+    A MainDevice that does not count its frames gives no such sign.
     """
 
     def __init__(self) -> None:
-        """Begin with a source of which nothing was seen."""
+        """Begin before the first frame of a source."""
         self._last: int | None = None
         self._first = 0
         self._steps = self._jumps = 0

@@ -290,7 +290,7 @@ class _Judge:
         return self.followers[identity]
 
     def follow(self, transaction: Transaction) -> None:
-        """Give an access to those whom it concerns."""
+        """Give an access to the followers of the SubDevices that it reaches."""
         gaps, segment = self._capture.gaps, self._capture.segment
         if len(gaps) > self._gaps:
             for each in self.followers.values():

@@ -42,7 +42,7 @@ def warm(model: Model) -> State:
 
 @once
 def unset(model: Model) -> State:
-    """Give a state of which neither registers nor words are known."""
+    """Give a state with unknown registers and words."""
     state = model.initial
     for name, slot in model.slots.items():
         if name.startswith(("register ", "word ")):

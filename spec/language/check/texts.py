@@ -106,7 +106,7 @@ def check_texts(texts: Sequence[SourceText]) -> list[Diagnostic]:
 
 
 def _founded(texts: Iterable[SourceText]) -> Iterator[Diagnostic]:
-    """A device text stands on the standard, and there is no other."""
+    """A device text extends the standard, and there is no other."""
     for text in texts:
         if text.extends not in {None, STANDARD}:
             yield Diagnostic(
